@@ -172,6 +172,12 @@ def test_what_is_left_of_a_data_frame_is_drawn_as_the_command_draws_it(pd: Any, 
     assert "n = " in drawn.caption
     with pytest.raises(InputError, match=r"did you mean 'lines'\?"):
         runs.figure("line")
+    for wrong in ({"x": "typo"}, {"width": "12 miles"}, {"facet": "typo"}):
+        (argument,) = wrong
+        # A notebook has arguments, no options.
+        with pytest.raises(InputError, match=rf"^{argument}: ") as found:
+            runs.figure("lines", **({"x": "nFeatures"} | wrong))
+        assert found.value.argument == argument
     with pytest.raises(InputError, match="needs the columns id and evaluation, of which 'id' is gone"):
         runs.drop(columns="id").figure("lines", x="nFeatures")
     with pytest.raises(InputError, match="not a data frame that slamhive"):

@@ -467,7 +467,7 @@ def test_limits_are_settled_over_all_panels() -> None:
 def test_outcomes_all_draws_them_hollow(study: Path) -> None:
     found = made(study, Kind.SCATTER, x="coverage", by="algorithm", outcomes=Outcomes.ALL)
     assert sum(sum(mark.hollow) for number in range(3) for mark in marks(found, Dots, number)) == 1
-    with pytest.raises(InputError, match="--outcomes"):
+    with pytest.raises(InputError, match=r"^outcomes: the spread of repetitions"):
         made(study, Kind.REPETITIONS, outcomes=Outcomes.ALL)
 
 

@@ -111,9 +111,9 @@ def test_homes_of_the_environment_are_read_unless_others_are_named(
 def test_what_is_no_home_is_refused(keep: Callable[[str], Any], tmp_path: Path) -> None:
     mine = keep("mine").home
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match=r"--also: .*empty: is no home: it holds no archive\.sqlite"):
+    with pytest.raises(InputError, match=r"^also: .*empty: is no home: it holds no archive\.sqlite"):
         homes_beside(mine, [str(tmp_path / "empty")])
-    with pytest.raises(InputError, match="--also: /nowhere: no such folder or file"):
+    with pytest.raises(InputError, match=r"^also: /nowhere: no such folder or file"):
         homes_beside(mine, ["/nowhere"])
 
 

@@ -96,22 +96,22 @@ class Frame:
         """Tell whether there is a column of a name."""
         return name in self._columns or name in CORE_COLUMNS or name in OWN_COLUMNS
 
-    def require(self, names: Iterable[str], where: str = "") -> None:
-        """Refuse names of no column.
+    def require(self, names: Iterable[str], argument: str = "") -> None:
+        """Refuse names of no column, which an argument may have given.
 
         Raises:
             UnknownNameError: with the nearest name.
         """
         for name in names:
             if not self.has(name):
-                raise UnknownNameError("column", name, self.names, where)
+                raise UnknownNameError("column", name, self.names, argument=argument)
 
-    def resolve(self, name: str, where: str = "") -> str:
+    def resolve(self, name: str, argument: str = "") -> str:
         """Return the column that a name means: its whole name, or its last part where that is clear.
 
         Args:
             name: as it was written.
-            where: the option or field that it was written in.
+            argument: what gave it.
 
         Raises:
             InputError: it is unknown, or means several.
@@ -122,10 +122,9 @@ class Frame:
             return f"{name}.rmse"
         found = columns_ending_in(name, self._columns)
         if len(found) > 1:
-            prefix = f"{where}: " if where else ""
-            raise InputError(f"{prefix}{name!r} may be {', '.join(found[:6])}; write which")
+            raise InputError(f"{name!r} may be {', '.join(found[:6])}; write which", argument)
         if not found:
-            raise UnknownNameError("column", name[:100], self.names, where)
+            raise UnknownNameError("column", name[:100], self.names, argument=argument)
         return found[0]
 
     def column(self, name: str) -> Column:

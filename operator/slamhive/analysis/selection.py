@@ -42,7 +42,6 @@ class Selection:
         where: a condition.
         superseded: whether results of earlier versions are meant too.
         each: whether runs are meant one by one: those of equal content too, and unfinished ones.
-        option: what stands before the names of these in a complaint, ``--`` on the command line.
     """
 
     sweeps: tuple[str, ...] = ()
@@ -50,7 +49,6 @@ class Selection:
     where: str | None = None
     superseded: bool = False
     each: bool = False
-    option: str = ""
 
     @property
     def sentences(self) -> list[str]:
@@ -96,10 +94,10 @@ def choose(frame: Frame, selection: Selection) -> Chosen:
     if selection.sweeps:
         chosen = np.zeros(len(frame), dtype=bool)
         for name in selection.sweeps:
-            chosen |= of_sweep(frame, name, f"{selection.option}sweep")
+            chosen |= of_sweep(frame, name)
         frame = frame.select(chosen)
     if selection.evaluation is not None:
-        frame = _of_evaluation(frame, selection.evaluation, f"{selection.option}evaluation")
+        frame = _of_evaluation(frame, selection.evaluation)
     node = parse_where(selection.where, frozenset(frame.names)) if selection.where else None
     return meeting(frame, node, superseded=selection.superseded, each=selection.each)
 
@@ -212,13 +210,12 @@ def _among(column: Column, words: frozenset[str] | set[str]) -> Mask:
     return found
 
 
-def of_sweep(frame: Frame, name: str, where: str) -> Mask:
+def of_sweep(frame: Frame, name: str) -> Mask:
     """Tell which rows belong to the sweep that a name means, in all of its versions, (n,).
 
     Args:
         frame: all rows.
         name: a name, NAMESPACE/NAME, or at least 8 digits of a sweep's identity.
-        where: what stands in front of a complaint.
 
     Raises:
         InputError: no sweep is called so, or several in different places are.
@@ -233,20 +230,20 @@ def of_sweep(frame: Frame, name: str, where: str) -> Mask:
         chosen = _among(uids, {uid for uid in uids.values if str(uid).startswith(name)})
     if not chosen.any():
         known = [str(one) for one in frame.column("sweep").factorized()[1] if one is not None]
-        raise UnknownNameError("sweep", name, known, where)
+        raise UnknownNameError("sweep", name, known, argument="sweep")
     namespaces = frame.select(chosen).column("namespace").factorized()[1]
     if not slash and len(namespaces) > 1:
         places = ", ".join(f"{one or ''}/{name}" for one in namespaces)
-        raise InputError(f"{where}: several sweeps are called {name!r}: write which of {places}")
+        raise InputError(f"several sweeps are called {name!r}: write which of {places}", "sweep")
     return chosen
 
 
-def _of_evaluation(frame: Frame, name: str, where: str) -> Frame:
+def _of_evaluation(frame: Frame, name: str) -> Frame:
     """Return the rows of an evaluation: of runs that it measured, or was meant to measure."""
     chosen = where_equal(frame, "evaluation", name)
     if not chosen.any():
         known = [str(one) for one in frame.column("evaluation").factorized()[1] if one is not None]
-        raise UnknownNameError("evaluation", name, known, where)
+        raise UnknownNameError("evaluation", name, known, argument="evaluation")
     return frame.select(chosen)
 
 

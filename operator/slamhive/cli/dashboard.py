@@ -73,6 +73,6 @@ def dashboard(
         else Workstation(home.archive_url, home.path, ground_truth),
         listening,
         hosts=allowed_hosts(host, allowed_host or ()),
-        health=None if health_port is None else listen(host, health_port, "--health-port"),
+        health=None if health_port is None else listen(host, health_port, "health-port"),
         announce=announce,
     )

@@ -75,7 +75,7 @@ def prune(
     size = None if larger is None else _size(larger)
 
     def chosen(frame: Frame) -> set[str]:
-        selection = Selection((sweep,) if sweep else (), None, where, superseded=True, each=True, option="--")
+        selection = Selection((sweep,) if sweep else (), None, where, superseded=True, each=True)
         found = choose(frame, selection).frame
         mask = np.ones(len(found), dtype=bool)
         if superseded:

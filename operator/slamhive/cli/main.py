@@ -222,7 +222,7 @@ def main() -> None:
     try:
         app()
     except InputError as error:
-        _end(str(error), WRONG_INPUT)
+        _end(f"--{error}" if error.argument else str(error), WRONG_INPUT)
     except SlamHiveError as error:
         _end(str(error), FAILED)
     except (KeyboardInterrupt, _CommandInterrupted):

@@ -110,9 +110,9 @@ def report(
         selection, "there is nothing to report", homes_beside(Home.from_environment(), also)
     )
     metric = metric or usual_metric(frame)
-    for field, names in (("--metric", [metric]), ("--cost", cost or []), ("--by", _names(by, ""))):
+    for field, names in (("metric", [metric]), ("cost", cost or []), ("by", _names(by, ""))):
         frame.require(names, field)
-        if field != "--by":
+        if field != "by":
             _check_numbers(frame, names, field)
     asked = [text for text in analysis or () if text != "none"]
     questions = (
@@ -140,7 +140,7 @@ def _check_numbers(frame: Frame, names: Sequence[str], field: str) -> None:
     for name in names:
         column = frame.column(name)
         if not column.is_empty and np.isnan(column.floats()).all():
-            raise InputError(f"{field}: {name}: a column of numbers is needed, this one holds none")
+            raise InputError(f"{name}: a column of numbers is needed, this one holds none", field)
 
 
 def paper_table(
@@ -215,12 +215,12 @@ def paper_table(
     )
     layout = replace(
         layout,
-        rows=tuple(frame.resolve(name, "--rows") for name in layout.rows),
-        columns=tuple(frame.resolve(name, "--columns") for name in layout.columns),
+        rows=tuple(frame.resolve(name, "rows") for name in layout.rows),
+        columns=tuple(frame.resolve(name, "columns") for name in layout.columns),
     )
     names = [one.column for one in layout.metrics]
-    frame.require(names, "--metric")
-    _check_numbers(frame, names, "--metric")
+    frame.require(names, "metric")
+    _check_numbers(frame, names, "metric")
     table = make_table(frame, layout)
     table = replace(table, notes=(*left_out, *table.notes))
     if EarlierStyle.CSV is form or style is TableStyle.CSV:

@@ -94,11 +94,11 @@ def list_results(
     Example: slamhive results list --where "outcome != 'Tracked'" --sort=-coverage
     """
     found = _select(
-        Selection(_sweeps(sweep), evaluation, where, superseded=superseded, each=True, option="--"),
+        Selection(_sweeps(sweep), evaluation, where, superseded=superseded, each=True),
         also,
     )
     frame = found.frame
-    wanted = _columns(columns, frame, "--columns")
+    wanted = _columns(columns, frame, "columns")
     same: dict[str, Any] = {}
     if wanted is None and form not in (PrintFormat.JSON, PrintFormat.CSV):
         wanted, same = _telling(frame)
@@ -168,10 +168,10 @@ def show_table(
 
     Example: slamhive results table --rows parameters.nFeatures -m ate.rmse:cm:.3f -m usage.cpu.meanCores
     """
-    chosen = _select(Selection(_sweeps(sweep), evaluation, where, superseded=superseded, option="--"), also)
+    chosen = _select(Selection(_sweeps(sweep), evaluation, where, superseded=superseded), also)
     frame = chosen.frame
     metrics = [Metric.parse(text) for text in metric or usual_columns(TABLE_METRICS, frame, filled=True)]
-    by, across = _columns(rows, frame, "--rows"), _columns(columns, frame, "--columns") or []
+    by, across = _columns(rows, frame, "rows"), _columns(columns, frame, "columns") or []
     frame.require([*(one.column for one in metrics), *(by or ()), *across])
     with uncollected():
         found = aggregate(frame, [one.column for one in metrics], by, outcomes, across)
@@ -240,7 +240,7 @@ def export(
 
     Example: slamhive results export --format json --sweep demo -o demo.json
     """
-    selection = Selection(_sweeps(sweep), evaluation, where, superseded=superseded, each=reused, option="--")
+    selection = Selection(_sweeps(sweep), evaluation, where, superseded=superseded, each=reused)
     if to is not None:
         unused = {"--format": form, "--sort": sort, "--columns": columns, "--also": also}
         _hand_over(to, output, selection, unused)
@@ -249,7 +249,7 @@ def export(
         raise InputError("--format: export writes csv, json or markdown; results list prints a table")
     chosen = _select(selection, also)
     frame = chosen.frame
-    wanted = _columns(columns, frame, "--columns") or frame.names
+    wanted = _columns(columns, frame, "columns") or frame.names
     frame.require(wanted)
     ordered = _sorted(frame, sort)
     with _stream(output) as stream:
@@ -373,15 +373,15 @@ def _names(text: str | None) -> list[str] | None:
     return split_names(text) if text else None
 
 
-def _columns(text: str | None, frame: Frame, option: str) -> list[str] | None:
+def _columns(text: str | None, frame: Frame, argument: str) -> list[str] | None:
     """Return the columns that an option names, each in whole or by its last part where that is clear."""
     names = _names(text)
-    return None if names is None else [frame.resolve(name, option) for name in names]
+    return None if names is None else [frame.resolve(name, argument) for name in names]
 
 
 def _sorted(frame: Frame, sort: str | None) -> Frame:
     asked = _names(sort) or []
-    frame.require((name.removeprefix("-") for name in asked), "--sort")
+    frame.require((name.removeprefix("-") for name in asked), "sort")
     return frame.select(order_rows(frame, asked)) if asked else frame
 
 

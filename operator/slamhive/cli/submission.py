@@ -77,7 +77,7 @@ def _uids(sweep: list[str] | None, algorithm: str | None, where: str | None) -> 
     Raises:
         InputError: there are none.
     """
-    selection = Selection(tuple(sweep or ()), None, where, option="--")
+    selection = Selection(tuple(sweep or ()), None, where)
     frame, notes = choose_runs(selection, "give another --sweep or --where")
     for note in notes:
         remark(note)

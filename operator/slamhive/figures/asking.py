@@ -107,7 +107,7 @@ class Wish:
         text = getattr(self, field)
         if text is None:
             return tuple(name for name in default if varies(frame, name))
-        return tuple(dict.fromkeys(frame.resolve(name, f"--{field}") for name in split_names(text)))
+        return tuple(dict.fromkeys(frame.resolve(name, field) for name in split_names(text)))
 
     def named(self, field: str, default: Sequence[str], frame: Frame) -> tuple[str, ...]:
         """Return the columns whose values stand side by side along an axis, as ``COLUMN,…``.
@@ -118,7 +118,7 @@ class Wish:
         names = self.columns(field, default, frame) or tuple(default)
         for name in names:
             if frame.column(name).is_empty:
-                raise InputError(f"--{field}: {name}: none of the runs has it: there is nothing to draw")
+                raise InputError(f"{name}: none of the runs has it: there is nothing to draw", field)
         return names
 
     def series(self, frame: Frame, besides: Sequence[str] = ()) -> tuple[str, ...]:
@@ -134,11 +134,9 @@ class Wish:
         metric = self.place(field, default, frame)
         column = frame.column(metric.column)
         if column.is_empty:
-            raise InputError(f"--{field}: {metric.column}: none of the runs has it: there is nothing to draw")
+            raise InputError(f"{metric.column}: none of the runs has it: there is nothing to draw", field)
         if np.isnan(column.floats()).all():
-            raise InputError(
-                f"--{field}: {metric.column}: a column of numbers is needed, this one holds none"
-            )
+            raise InputError(f"{metric.column}: a column of numbers is needed, this one holds none", field)
         return metric
 
     def place(self, field: str, default: str, frame: Frame) -> Metric:
@@ -151,7 +149,7 @@ class Wish:
         name, colon, unit = text.partition(":")
         if frame.has(text):  # a name with a colon in it
             return Metric(text, "", 1.0) if colon else Metric.parse(text)
-        column = frame.resolve(name.strip(), f"--{field}")
+        column = frame.resolve(name.strip(), field)
         return Metric.parse(f"{column}:{unit}" if colon else column)
 
     def refuse(self, **why: str) -> None:
@@ -162,7 +160,7 @@ class Wish:
         """
         for field, sentence in why.items():
             if getattr(self, field) not in {None, False}:
-                raise InputError(f"--{field}: {sentence}")
+                raise InputError(sentence, field)
 
 
 def error_of(frame: Frame) -> str:
@@ -247,12 +245,14 @@ def check_panels(count: int, names: Sequence[str], frame: Frame, facet: str | No
     first = next(iter(names), "")
     if facet is not None and distinct.get(first, 0) > MOST_PANELS:
         raise InputError(
-            f"--facet: {first} has {distinct[first]:,} values, and a figure has at most {MOST_PANELS} "
-            "panels: choose some of them by --where"
+            f"{first} has {distinct[first]:,} values, and a figure has at most {MOST_PANELS} panels: choose "
+            "some of them by --where",
+            "facet",
         )
     raise InputError(
-        f"{'--facet' if facet else 'panels'}: {count:,} would be needed for the values of {most}, and a "
-        f"figure has at most {MOST_PANELS}: choose runs by --where, or tell them apart by --by"
+        f"{'' if facet else 'panels: '}{count:,} would be needed for the values of {most}, and a figure has "
+        f"at most {MOST_PANELS}: choose runs by --where, or tell them apart by --by",
+        "facet" if facet else "",
     )
 
 
@@ -264,8 +264,9 @@ def check_series(names: Sequence[str], found: Sequence[Any]) -> None:
     """
     if len(found) > MOST_SERIES:
         raise InputError(
-            f"--by: {', '.join(names)}: {len(found):,} series, and at most {MOST_SERIES} can be told apart "
-            "in a figure: choose fewer by --where, or name other columns"
+            f"{', '.join(names)}: {len(found):,} series, and at most {MOST_SERIES} can be told apart in a "
+            "figure: choose fewer by --where, or name other columns",
+            "by",
         )
 
 
@@ -277,8 +278,9 @@ def check_categories(field: str, name: str, count: int) -> None:
     """
     if count > MOST_CATEGORIES:
         raise InputError(
-            f"--{field}: {name} has {count:,} values, and at most {MOST_CATEGORIES} stand side by side: "
-            "choose some of them by --where"
+            f"{name} has {count:,} values, and at most {MOST_CATEGORIES} stand side by side: choose some of "
+            "them by --where",
+            field,
         )
 
 

@@ -159,7 +159,7 @@ def _known(frame: Frame, name: str) -> tuple[Frame, list[str]]:
     if present.all():
         return frame, []
     if not present.any():
-        raise InputError(f"--x: {name}: none of the runs has it: there is nothing to draw")
+        raise InputError(f"{name}: none of the runs has it: there is nothing to draw", "x")
     return frame.select(present), [f"{int((~present).sum()):,} runs without {name} are not drawn"]
 
 
@@ -343,7 +343,7 @@ def heat(frame: Frame, wish: Wish) -> Picture:
     x = wish.named("x", (both[0],), frame)
     y = wish.named("y", (both[1],) if both[1] else COMPETITORS, frame)
     if twice := set(x) & set(y):
-        raise InputError(f"--y: {min(twice)} stands along x already: a heat map has two sides")
+        raise InputError(f"{min(twice)} stands along x already: a heat map has two sides", "y")
     facet = wish.columns("facet", (), frame)
     told = [*x, *y]
     parts = parted(frame, facet, told, (*told, colour.column))

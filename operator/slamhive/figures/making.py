@@ -47,7 +47,7 @@ def picture(
         InputError: it can't be drawn, or nothing would be seen.
     """
     if published and wish.kind is not Kind.SCATTER:
-        raise InputError("--published: published numbers are drawn by scatter alone")
+        raise InputError("published numbers are drawn by scatter alone", "published")
     with declared_units(frame.units):
         return _picture(frame, wish, home, also, published=published)
 
@@ -90,7 +90,7 @@ def form_of(path: Path) -> str:
     if form not in FORMS:
         found = f"not in {path.suffix!r}" if path.suffix else "and this name has no ending"
         raise InputError(
-            f"--output: {path}: a figure's name ends in {', '.join(f'.{one}' for one in FORMS)}, {found}"
+            f"{path}: a figure's name ends in {', '.join(f'.{one}' for one in FORMS)}, {found}", "output"
         )
     return form
 

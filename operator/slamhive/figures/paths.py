@@ -280,7 +280,7 @@ def _trajectories(wish: Wish) -> Reader:
     for field, default in (("x", "x"), ("y", "y")):
         side = getattr(wish, field) or default
         if side not in _SIDES:
-            raise InputError(f"--{field}: {side[:60]!r}: a path is drawn along x, y or z")
+            raise InputError(f"{side[:60]!r}: a path is drawn along x, y or z", field)
         sides.append(side)
 
     def read(found: Found) -> tuple[Rows, Rows | None, list[str]]:
@@ -309,7 +309,7 @@ def _usage(wish: Wish) -> Reader:
     names = {"cpu": "CPU load [cores]", "memory": "memory [MiB]"}
     what = wish.y or "cpu"
     if what not in names:
-        raise InputError(f"--y: {what[:60]!r}: usage over time is cpu or memory")
+        raise InputError(f"{what[:60]!r}: usage over time is cpu or memory", "y")
 
     def read(found: Found) -> tuple[Rows, Rows | None, list[str]]:
         table = usage_columns(found.place, 400)

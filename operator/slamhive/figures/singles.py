@@ -184,7 +184,7 @@ def repetitions(frame: Frame, wish: Wish) -> Picture:
         facet="repetitions have one panel: choose runs by --where",
     )
     if wish.outcomes is not Outcomes.TRACKED:
-        raise InputError("--outcomes: the spread of repetitions is that of tracked runs")
+        raise InputError("the spread of repetitions is that of tracked runs", "outcomes")
     x = wish.number("x", error_of(frame), frame)
     frame, left = with_figure(frame, x.column)
     found, notes = repeatability(frame, x.column)

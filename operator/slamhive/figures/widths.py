@@ -57,13 +57,11 @@ def parse_width(text: str) -> Width:
         return WIDTHS[text]
     match = _MEASURE.fullmatch(text.strip())
     if match is None:
-        raise InputError(
-            f"--width: {text[:60]!r} is neither a measure such as 88mm, 3.5in nor a name"
-            f"{suggestion(text[:60], WIDTHS)}"
-        )
+        near = suggestion(text[:60], WIDTHS)
+        raise InputError(f"{text[:60]!r} is neither a measure such as 88mm, 3.5in nor a name{near}", "width")
     millimetres = float(match[1]) * _IN_MM[match[2]]
     if not NARROWEST <= millimetres <= WIDEST:
-        raise InputError(f"--width: {text}: a figure is {NARROWEST:g} to {WIDEST:g} mm wide")
+        raise InputError(f"{text}: a figure is {NARROWEST:g} to {WIDEST:g} mm wide", "width")
     return Width(millimetres, _PAPER)
 
 
@@ -77,6 +75,6 @@ def parse_height(text: str) -> float:
     millimetres = float(match[1]) * _IN_MM[match[2]] if match else 0.0
     if not NARROWEST / 2 <= millimetres <= WIDEST:
         raise InputError(
-            f"--height: {text[:60]!r}: expected {NARROWEST / 2:g}mm to {WIDEST:g}mm, as mm, cm, in or pt"
+            f"{text[:60]!r}: expected {NARROWEST / 2:g}mm to {WIDEST:g}mm, as mm, cm, in or pt", "height"
         )
     return millimetres

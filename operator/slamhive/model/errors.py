@@ -31,9 +31,19 @@ class SlamHiveError(Exception):
 
 
 class InputError(SlamHiveError):
-    """Error in what the user wrote or gave: it cannot be used as it is."""
+    """Error in what the user wrote or gave: it cannot be used as it is.
+
+    Args:
+        sentence: what is wrong with it.
+        argument: argument of a function that gave it, put in front of the sentence; the command line has an
+            option of that name. Empty for what no argument gave.
+    """
 
     reason = "InvalidInput"
+
+    def __init__(self, sentence: str, argument: str = "") -> None:
+        super().__init__(f"{argument}: {sentence}" if argument else sentence)
+        self.argument = argument
 
 
 class ManifestError(InputError):
@@ -50,14 +60,17 @@ class UnknownNameError(InputError):
         name: the name as it was written.
         known: the names that exist.
         where: where it was written, put in front of the sentence.
+        argument: as of InputError.
     """
 
     reason = "UnknownName"
 
-    def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "") -> None:
+    def __init__(
+        self, kind: str, name: str, known: Iterable[str], where: str = "", argument: str = ""
+    ) -> None:
         known = sorted(known)
         prefix = f"{where}: " if where else ""
-        super().__init__(f"{prefix}unknown {kind} {name!r}{suggestion(name, known)}")
+        super().__init__(f"{prefix}unknown {kind} {name!r}{suggestion(name, known)}", argument)
 
 
 class DataError(InputError):

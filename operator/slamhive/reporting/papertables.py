@@ -240,16 +240,17 @@ def _over_datasets(frame: Frame, layout: TableLayout, rows: Sequence[dict[str, A
     metric = layout.metrics[0].column
     if "dataset" not in layout.columns:
         raise InputError(
-            "--overall: ranks and ratios are over datasets, which then stand side by side: --columns dataset"
+            "ranks and ratios are over datasets, which then stand side by side: --columns dataset", "overall"
         )
     if not _way(metric):
         raise InputError(
-            f"--overall: {metric}: ranks are by a figure that is good when it is small, or when it is large; "
-            "nobody has said so of this one"
+            f"{metric}: ranks are by a figure that is good when it is small, or when it is large; nobody has "
+            "said so of this one",
+            "overall",
         )
     others = [name for name in layout.columns if name != "dataset"]
     if others:
-        raise InputError(f"--overall: {others[0]} stands in the columns too: ranks are over datasets alone")
+        raise InputError(f"{others[0]} stands in the columns too: ranks are over datasets alone", "overall")
     by = [name for name in layout.rows if name != "dataset"]
     boards = leaderboard(frame, metric, by, layout.outcomes, draws=1).boards
     found: list[tuple[float | None, float | None, tuple[int, int]]] = []

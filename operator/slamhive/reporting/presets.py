@@ -65,5 +65,5 @@ def preset(name: str) -> Preset:
     """
     found = PRESETS.get({"3": "III", "4": "IV"}.get(name, name.upper()))
     if found is None:
-        raise UnknownNameError("table", name, PRESETS, "--preset")
+        raise UnknownNameError("table", name, PRESETS, argument="preset")
     return found

@@ -30,7 +30,7 @@ RANKED_BY = ("ate.rmse", "relations.translation.rmse")
 MOST_GROUPS = 40
 MOST_QUESTIONS = 4
 _SETTINGS = ("kind", "x", "y", "colour", "facet", "outcomes", "figure", "xlog", "ylog", "title", "embed")
-_FIELD = "--analysis"
+_ARGUMENT = "analysis"
 
 
 @dataclass(frozen=True)
@@ -75,10 +75,11 @@ def parse_question(text: str, frame: Frame, outcomes: Outcomes) -> Question:
     parts = text.split(":")
     if not 2 <= len(parts) <= 3 or not all(part.strip() for part in parts):
         raise InputError(
-            f"{_FIELD}: {text!r} is neither X:Y, X:Y:COLOUR nor an address of the explore page; "
-            "an example is input.frameRate:ate.rmse"
+            f"{text!r} is neither X:Y, X:Y:COLOUR nor an address of the explore page; "
+            "an example is input.frameRate:ate.rmse",
+            _ARGUMENT,
         )
-    x, y, *more = (frame.resolve(part.strip(), _FIELD) for part in parts)
+    x, y, *more = (frame.resolve(part.strip(), _ARGUMENT) for part in parts)
     return _question(frame, (x, y), tuple(more) or COMPETITORS, outcomes)
 
 
@@ -108,22 +109,22 @@ def _of_address(text: str, frame: Frame, outcomes: Outcomes) -> Question:
     given = {name: value for name, value in pairs if name in _SETTINGS and value}
     kind = given.get("kind", "scatter")
     if kind not in KINDS:
-        raise InputError(f"{_FIELD}: kind={kind[:60]}: a report draws {', '.join(KINDS)}")
+        raise InputError(f"kind={kind[:60]}: a report draws {', '.join(KINDS)}", _ARGUMENT)
     for name in ("x", "y"):
         if name not in given:
-            raise InputError(f"{_FIELD}: {text[:200]!r} says no {name}=")
+            raise InputError(f"{text[:200]!r} says no {name}=", _ARGUMENT)
     try:
         node = queries.condition(frame, pairs, (*_SETTINGS, queries.SUPERSEDED))
         chosen = frame if node is None else frame.select(node.mask(frame))
         counted = queries.outcomes(given["outcomes"]) if "outcomes" in given else outcomes
     except InputError as error:
-        raise InputError(f"{_FIELD}: {error}") from None
-    by = tuple(frame.resolve(given[name], _FIELD) for name in ("colour", "facet") if name in given)
+        raise InputError(str(error), _ARGUMENT) from None
+    by = tuple(frame.resolve(given[name], _ARGUMENT) for name in ("colour", "facet") if name in given)
     log = tuple(True if given.get(name) == "1" else None for name in ("xlog", "ylog"))
     left = [f"{name}={value}" if value else name for name, value in pairs if name not in _SETTINGS]
     return _question(
         chosen,
-        (frame.resolve(given["x"], _FIELD), frame.resolve(given["y"], _FIELD)),
+        (frame.resolve(given["x"], _ARGUMENT), frame.resolve(given["y"], _ARGUMENT)),
         by or COMPETITORS,
         counted,
         points=KINDS[kind] == "points",
@@ -146,10 +147,10 @@ def _question(
 ) -> Question:
     x, y = axes
     if frame.column(x).is_empty:
-        raise InputError(f"{_FIELD}: no run has {x}")
+        raise InputError(f"no run has {x}", _ARGUMENT)
     number = frame.column(y)
     if not number.is_empty and not (number.floats() == number.floats()).any():
-        raise InputError(f"{_FIELD}: {y}: a column of numbers is needed, this one holds none")
+        raise InputError(f"{y}: a column of numbers is needed, this one holds none", _ARGUMENT)
     if points is None:
         column = frame.column(x)
         counts = column.kind in {ColumnKind.NUMBER, ColumnKind.INTEGER}

@@ -195,8 +195,8 @@ def choose_run(records: Sequence[RunRecord], pick: Pick) -> tuple[RunRecord, str
     without = [one.name for one in ordered if errors[one.uid] is None]
     if without:
         raise InputError(
-            f"--repetition {pick}: {without[0]} has no ATE to choose by; without public ground truth, take "
-            "--repetition first"
+            f"{without[0]} has no ATE to choose by; without public ground truth, take --repetition first",
+            f"repetition {pick}",
         )
     ranked = sorted(ordered, key=lambda one: errors[one.uid] or 0.0)
     # Of an even number the lower one of the two in the middle: what is submitted is a run, not a mean.
@@ -310,7 +310,7 @@ def write_archive(path: Path, entries: Sequence[SubmissionFile]) -> None:
         OSError: the disk refuses.
     """
     if path.exists():
-        raise InputError(f"--output: {path}: exists already")
+        raise InputError(f"{path}: exists already", "output")
     aside = path.with_name(f".{path.name}.part")
     try:
         with zipfile.ZipFile(aside, "w", zipfile.ZIP_DEFLATED) as archive:

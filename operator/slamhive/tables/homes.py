@@ -62,31 +62,32 @@ class Beside:
         return Home(self.path, self.url) if self.path is not None else None
 
 
-def homes_beside(own: Home, places: Sequence[str] | None, option: str = "--also") -> list[Beside]:
+def homes_beside(own: Home, places: Sequence[str] | None, argument: str = "also") -> list[Beside]:
     """Return the other homes that are meant.
 
     Args:
         own: one's own, which is not another one.
         places: each a home, an archive's file or a database URL, or LABEL= and that; None for those that
             ``$SLAMHIVE_ALSO`` names, with commas between them.
-        option: what a user calls the places, for sentences.
+        argument: what gave the places.
 
     Raises:
         InputError: there is no such place, or two have one label.
     """
-    field = VARIABLE if places is None else option
+    told = ("", argument) if places is not None else (f"{VARIABLE}: ", "")
     if places is None:
         places = [one for one in os.environ.get(VARIABLE, "").split(",") if one.strip()]
     found: dict[str, Beside] = {}
     for text in places:
         if text.strip().rpartition("=")[2] == str(own.path):
             continue
-        one = _beside(text.strip(), field)
+        one = _beside(text.strip(), *told)
         if one.url in {own.archive_url, *(known.url for known in found.values())}:
             continue
         if one.label in {OWN, *found}:
             raise InputError(
-                f"{field}: {text}: another home is called {one.label!r} already: name it by LABEL=PATH"
+                f"{told[0]}{text}: another home is called {one.label!r} already: name it by LABEL=PATH",
+                told[1],
             )
         found[one.label] = one
     return list(found.values())
@@ -193,24 +194,26 @@ def plain_name(name: str, labels: Collection[str]) -> tuple[str, str | None]:
     return (plain, label) if plain and label in labels else (name, None)
 
 
-def _beside(text: str, field: str) -> Beside:
+def _beside(text: str, prefix: str, argument: str) -> Beside:
     label, equals, place = text.partition("=")
     if not equals or "/" in label or not place:
         label, place = "", text
     url = archive_url(place)
     path = Path(place).expanduser().absolute() if "://" not in place else None
     if path is not None and not path.exists():
-        raise InputError(f"{field}: {place}: no such folder or file")
+        raise InputError(f"{prefix}{place}: no such folder or file", argument)
     if path is not None and path.is_file():
         path = path.parent
     elif path is not None and not (path / "archive.sqlite").exists():
-        raise InputError(f"{field}: {place}: is no home: it holds no archive.sqlite")
+        raise InputError(f"{prefix}{place}: is no home: it holds no archive.sqlite", argument)
     label = label or re.sub(r"[^A-Za-z0-9._-]+", "-", path.name if path else _database(url)).strip("-.")
     if not _LABEL.fullmatch(label):
         from slamhive.archive.connection import shown  # noqa: PLC0415 - as below
 
         what = place if path is not None else shown(url)
-        raise InputError(f"{field}: {what}: call it by LABEL=PATH; a label has letters, digits, - . and _")
+        raise InputError(
+            f"{prefix}{what}: call it by LABEL=PATH; a label has letters, digits, - . and _", argument
+        )
     return Beside(label, url, path)
 
 

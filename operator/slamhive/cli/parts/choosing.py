@@ -59,7 +59,7 @@ def select(
     conditions = [text for text in (given.where if given else None, where) if text and text.strip()]
     both = " and ".join(f"({text})" for text in conditions) if len(conditions) > 1 else "".join(conditions)
     chosen = evaluation if evaluation is not None else given.evaluation if given else None
-    return Selection(tuple(sweep or ()), chosen, both or None, superseded=superseded, option="--")
+    return Selection(tuple(sweep or ()), chosen, both or None, superseded=superseded)
 
 
 def choose_runs(

@@ -93,13 +93,13 @@ def _message(status: int, content: bytes) -> bytes:
     return "\r\n".join([*lines, "", ""]).encode() + content
 
 
-def listen(host: str, port: int, field: str = "--port") -> socket.socket:
+def listen(host: str, port: int, argument: str = "port") -> socket.socket:
     """Return a socket that listens.
 
     Args:
         host: address.
         port: port; 0 for a free one.
-        field: what the port was given by.
+        argument: what the port was given by.
 
     Raises:
         InputError: the address is taken or not ours.
@@ -113,7 +113,7 @@ def listen(host: str, port: int, field: str = "--port") -> socket.socket:
     except (OSError, OverflowError) as error:
         taken.close()
         reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"{field}: cannot listen on {host} port {port}: {reason}") from None
+        raise InputError(f"cannot listen on {host} port {port}: {reason}", argument) from None
     return taken
 
 

@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def output_whole(path: Path, option: str = "--output") -> Iterator[Path]:
+def output_whole(path: Path, argument: str = "output") -> Iterator[Path]:
     """Have a file written aside, and give it its name when all of it is written.
 
     What is no plain file, as a pipe, is written itself, and so is a file in a folder that takes no others.
 
     Args:
         path: the file.
-        option: what named it, for sentences.
+        argument: what named it.
 
     Yields:
         What is to be written.
@@ -34,11 +34,11 @@ def output_whole(path: Path, option: str = "--output") -> Iterator[Path]:
     target = Path(os.path.realpath(path))
     plain = target.is_file() or not target.exists()
     if not plain or not os.access(target.parent, os.W_OK, effective_ids=True):
-        with _told(path, option):
+        with _told(path, argument):
             yield target
         return
     aside = target.with_name(f".{target.name.lstrip('.')[:200]}.{os.urandom(4).hex()}.making")
-    with _told(path, option):
+    with _told(path, argument):
         try:
             yield aside
             if target.exists():
@@ -49,8 +49,8 @@ def output_whole(path: Path, option: str = "--output") -> Iterator[Path]:
 
 
 @contextmanager
-def _told(path: Path, option: str) -> Iterator[None]:
+def _told(path: Path, argument: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(f"{option}: {path}: {error.strerror}") from None
+        raise InputError(f"{path}: {error.strerror}", argument) from None
