@@ -12,7 +12,7 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from slamhive.analysis.cells import Places, error_figures, figures
+from slamhive.analysis.cells import Places, figures
 from slamhive.analysis.grouping import ranked_errors
 from slamhive.analysis.statistics import (
     ENOUGH,
@@ -66,7 +66,7 @@ def test_figures_are_those_of_each_group_by_itself(
     inside &= ~failed  # a run that failed has no number that counts
     numbers = places.numbers(values, inside)
     plain = figures(numbers)
-    ranked = error_figures(numbers, places.counts(failed), [False] * len(groups))
+    ranked = figures(numbers, places.counts(failed), [False] * len(groups))
     for group in range(len(groups)):
         rows = np.flatnonzero(of_row == group)
         mine = values[rows][inside[rows] & ~np.isnan(values[rows])]
@@ -98,7 +98,7 @@ def test_words_are_counted_and_results_compared_within_each_group(
 
 def test_one_result_that_came_out_several_times_has_no_spread() -> None:
     numbers = Numbers(np.array([0.1] * 3), np.zeros(3, dtype=np.intp), 1)
-    (figure,) = error_figures(numbers, np.zeros(1, dtype=np.intp), [True])
+    (figure,) = figures(numbers, np.zeros(1, dtype=np.intp), [True])
     assert figure.summary is not None
     assert (figure.summary.n, figure.summary.mean, figure.summary.std) == (3, 0.1, None)
     assert figure.points == (0.1, 0.1, 0.1)

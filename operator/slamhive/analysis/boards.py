@@ -155,20 +155,6 @@ class Grid:
 
 
 @dataclass(frozen=True)
-class Marks:
-    """Metric, outcome and coverage of each row, from which grids are made; fields as in ``Grid``."""
-
-    numbers: Floats
-    counted: Mask
-    failed: Mask
-    coverage: Floats
-
-    def of(self, rows: Indices) -> Marks:
-        """Return the marks of some rows."""
-        return Marks(self.numbers[rows], self.counted[rows], self.failed[rows], self.coverage[rows])
-
-
-@dataclass(frozen=True)
 class Prepared:
     """Grids of one question, with sentences on what is pooled in them."""
 
@@ -210,14 +196,15 @@ def prepare(
         facets = [*facets, "dataset"]
     metric = metrics[0]
     numbers = np.where(sound(frame, metric, outcomes), frame.column(metric).floats(), np.nan)
-    marks = Marks(numbers, counting(frame, outcomes), worst(frame, metric, outcomes), covered(frame))
+    marks = numbers, counting(frame, outcomes), worst(frame, metric, outcomes), covered(frame)
     groups = Groups(frame, facets)
     told = [name for name in by if name not in facets]
     grids = []
     for rows, shared in zip(groups.members(), groups.keys, strict=True):
         inside = frame.select(rows)
         for part in _comparable(inside, told):
-            grids.append(_grid(inside.select(part), shared, metric, told, marks.of(rows[part])))  # noqa: PERF401
+            mine = [of_row[rows[part]] for of_row in marks]
+            grids.append(_grid(inside.select(part), shared, metric, told, mine))
     grids.sort(key=lambda grid: -len(grid.frame))
     return Prepared(grids, tuple(notes))
 
@@ -239,14 +226,13 @@ def _comparable(frame: Frame, by: Sequence[str]) -> list[Mask]:
     return parts
 
 
-def _grid(frame: Frame, facets: dict[str, Any], metric: str, by: Sequence[str], marks: Marks) -> Grid:
+def _grid(frame: Frame, facets: dict[str, Any], metric: str, by: Sequence[str], marks: Sequence[Any]) -> Grid:
     competitors, datasets = Groups(frame, by), Groups(frame, ("dataset",))
     both = Groups(frame, (*by, "dataset"))
     firsts = both.order[[begin for begin, _ in both.edges]]
     at = np.stack([competitors.of_row[firsts], datasets.of_row[firsts]], axis=1)
     names = [key["dataset"] for key in datasets.keys]
-    told = (metric, facets, frame, competitors.keys, names, Places(both.order, both.edges), at)
-    return Grid(*told, **vars(marks))
+    return Grid(metric, facets, frame, competitors.keys, names, Places(both.order, both.edges), at, *marks)
 
 
 def scaled_ranks(medians: Floats) -> Floats:
@@ -257,11 +243,13 @@ def scaled_ranks(medians: Floats) -> Floats:
     Args:
         medians: of costs, failed runs' are infinite, (…, competitors).
     """
-    there = ~np.isnan(medians)
-    # NaN is sorted behind all others, so that it moves no rank.
-    better = average_ranks(medians) - 1
-    rivals = np.maximum(there.sum(axis=-1, keepdims=True) - 1, 1)
-    return np.where(there, better / rivals, np.nan)
+    rivals = np.count_nonzero(~np.isnan(medians), axis=-1, keepdims=True) - 1
+    return (ranks_of_known(medians) - 1) / np.maximum(rivals, 1)
+
+
+def ranks_of_known(values: Floats) -> Floats:
+    """Return ranks from 1 along the last axis, NaN for NaN: sorted behind all others, it moves no rank."""
+    return np.where(np.isnan(values), np.nan, average_ranks(values))
 
 
 def mean_ranks(medians: Floats) -> Floats:

@@ -18,6 +18,8 @@ from slamhive.analysis.statistics import ENOUGH, Interval, Numbers, Summary, mea
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import numpy.typing as npt
+
     from slamhive.analysis.columns import Floats, Indices, Mask
 
 
@@ -142,35 +144,25 @@ class Places:
         return agreeing
 
 
-def figures(numbers: Numbers) -> list[Figure]:
-    """Return the figures of a metric by which failed runs have no rank."""
-    found = []
-    for group, (summary, points) in enumerate(zip(numbers.summaries(), numbers.points(), strict=True)):
-        if summary is None or summary.n < ENOUGH:
-            found.append(Figure(summary, points))
-            continue
-        found.append(Figure(summary, points, mean_interval(summary), median_interval(numbers.ordered(group))))
-    return found
-
-
-def error_figures(
-    numbers: Numbers, failed: Indices, single: Sequence[bool], sign: float = 1.0
+def figures(
+    numbers: Numbers, failed: Indices | None = None, single: Sequence[bool] = (), sign: float = 1.0
 ) -> list[Figure]:
-    """Return the figures of an error, by which failed runs rank behind all others.
+    """Return the figures of a metric; of an error, failed runs rank behind all others.
 
     Args:
-        numbers: the errors.
-        failed: number of failed runs of each group, (groups,).
-        single: whether the runs of a group are one and the same result.
+        numbers: those that count.
+        failed: number of failed runs of each group, (groups,); None where they have no rank.
+        single: whether the runs of a group are one and the same result; empty for none.
         sign: -1 where large numbers are good: then failed runs are below all others.
     """
-    found, costs = [], numbers.times(sign)
+    found, costs, summaries = [], numbers.times(sign), numbers.summaries()
+    middles: Sequence[float | None] = [None] * len(summaries) if failed is None else costs.medians(failed)
     rows = zip(
-        numbers.summaries(),
+        summaries,
         numbers.points(),
-        costs.medians(failed),
-        failed.tolist(),
-        single,
+        middles,
+        [0] * len(summaries) if failed is None else failed.tolist(),
+        single or [False] * len(summaries),
         strict=True,
     )
     for group, (summary, points, cost, behind, same) in enumerate(rows):
@@ -180,10 +172,18 @@ def error_figures(
             mean = summary.median if summary.min == summary.max else summary.mean
             found.append(Figure(replace(summary, mean=mean, std=None), points, None, None, behind, middle))
             continue
-        count = summary.n if summary else 0
-        interval = mean_interval(summary) if summary and count >= ENOUGH else None
-        middles = None
-        if count + behind >= ENOUGH:
-            middles = median_interval(np.concatenate([costs.ordered(group), np.full(behind, np.inf)]))
-        found.append(Figure(summary, points, interval, middles and middles.times(sign), behind, middle))
+        interval = of_median = None
+        if summary and summary.n >= ENOUGH:
+            interval = mean_interval(summary)
+        if (summary.n if summary else 0) + behind >= ENOUGH:
+            ordered = np.concatenate([costs.ordered(group), np.full(behind, np.inf)])
+            of_median = median_interval(ordered)
+        turned = of_median and of_median.times(sign)
+        found.append(Figure(summary, points, interval, turned, behind, middle))
     return found
+
+
+def different(codes: npt.NDArray[np.signedinteger[Any]]) -> Indices:
+    """Return the places of codes that are like no earlier one; each below 0 is like none."""
+    _, firsts = np.unique(codes, return_index=True)
+    return np.union1d(firsts[codes[firsts] >= 0], np.flatnonzero(codes < 0)).astype(np.intp)

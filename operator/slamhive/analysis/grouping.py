@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.cells import Cell, Figure, Places, error_figures, figures
+from slamhive.analysis.cells import Cell, Figure, Places, figures
 from slamhive.analysis.columns import Column, renumbered
 from slamhive.analysis.measures import BESIDE, CONFIGURATION, Better, follows_trajectory, is_error, measure_of
 from slamhive.analysis.statistics import edges
@@ -438,7 +438,7 @@ def _figures(
     if not is_error(name):
         return figures(numbers)
     single = same if follows_trajectory(name) else [False] * len(same)
-    return error_figures(numbers, places.counts(worst(frame, name, outcomes)), single, measure_of(name).sign)
+    return figures(numbers, places.counts(worst(frame, name, outcomes)), single, measure_of(name).sign)
 
 
 def tally(words: Sequence[str], codes: npt.NDArray[np.int32]) -> dict[str, int]:

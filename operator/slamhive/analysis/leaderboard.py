@@ -14,7 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.boards import COMPETITORS, mean_of_known, mean_ranks, prepare, scaled_ranks
+from slamhive.analysis.boards import (
+    COMPETITORS,
+    mean_of_known,
+    mean_ranks,
+    prepare,
+    ranks_of_known,
+    scaled_ranks,
+)
 from slamhive.analysis.grouping import Outcomes
 from slamhive.analysis.measures import follows_trajectory
 from slamhive.analysis.statistics import (
@@ -163,7 +170,8 @@ def leaderboard(
 def _board(grid: Grid, draws: int) -> Board:
     scores, ratios = mean_ranks(grid.medians), np.exp(mean_of_known(_log_ratios(grid.medians.T, grid.sign).T))
     drawn_ranks, drawn_ratios = _bootstrap(grid, draws)
-    ranks, within = _places(scores), _dataset_ranks(grid.medians)
+    # Scores that differ by rounding alone are equal.
+    ranks, within = ranks_of_known(np.round(scores, 12)), ranks_of_known(grid.medians.T).T
     rank_intervals, ratio_intervals = percentiles(drawn_ranks.T), percentiles(drawn_ratios.T)
     standings: list[list[Standing]] = [[] for _ in grid.competitors]
     for number, standing in _standings(grid, within):
@@ -240,22 +248,6 @@ def _standings(grid: Grid, ranks: Floats) -> Iterator[tuple[int, Standing]]:
                 coverage=coverage,
             ),
         )
-
-
-def _dataset_ranks(medians: Floats) -> Floats:
-    """Return ranks within each dataset, (competitors, datasets), NaN where one has no run."""
-    ranks = np.full(medians.shape, np.nan)
-    for place in range(medians.shape[1]):
-        there = ~np.isnan(medians[:, place])
-        ranks[there, place] = average_ranks(medians[there, place])
-    return ranks
-
-
-def _places(scores: Floats) -> Floats:
-    """Return ranks by score, NaN where nothing is ranked; scores that differ by rounding alone are equal."""
-    ranks, there = np.full(scores.shape, np.nan), ~np.isnan(scores)
-    ranks[there] = average_ranks(np.round(scores[there], 12))
-    return ranks
 
 
 def _log_ratios(medians: Floats, sign: float) -> Floats:

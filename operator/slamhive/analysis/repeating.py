@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.analysis.cells import different
 from slamhive.analysis.grouping import (
     SUBJECT,
     Groups,
@@ -93,12 +94,10 @@ def repeatability(frame: Frame, metric: str = "ate.rmse") -> tuple[list[Repetiti
         inside = rows[tracked & ~np.isnan(numbers[rows])]
         unnamed = trajectories.kind.is_numeric or not follows_trajectory(metric)
         hashes = np.full(len(inside), -1) if unnamed else trajectories.codes[inside]
-        _, firsts = np.unique(hashes, return_index=True)
-        unknown = np.flatnonzero(hashes < 0)
-        kept = np.union1d(firsts[hashes[firsts] >= 0], unknown).astype(np.intp)
+        kept = different(hashes)
         values = numbers[inside[kept]]
         spread = float(values.std(ddof=1) / values.mean()) if len(values) > 1 and values.mean() else None
-        distinct = int((hashes[firsts] >= 0).sum())
+        distinct = int((hashes[kept] >= 0).sum())
         repetitions.append(Repetitions(cell, distinct, tuple(values.tolist()), spread))
     repetitions.sort(key=lambda one: -one.cell.runs)
     return repetitions, notes

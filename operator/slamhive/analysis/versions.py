@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.analysis.cells import different
 from slamhive.analysis.comparing import LEVEL, signed_differences
 from slamhive.analysis.derived import ALGORITHM_CHANGED, DATASET_CHANGED
 from slamhive.analysis.grouping import (
@@ -300,6 +301,8 @@ class _Material:
         self._counted = counting(self._frame, outcomes) & sound(self._frame, metric, outcomes)
         self._counted &= ~np.isnan(self._numbers)
         self._failed = failing(self._frame, outcomes) | falling_short(self._frame, metric)
+        trajectory = self._frame.column("trajectory.sha256")
+        self._trajectories = np.full(len(self._frame), -1) if trajectory.kind.is_numeric else trajectory.codes
         self._moments = self._latest()
 
     def _latest(self) -> dict[tuple[Any, Any], tuple[float, float]]:
@@ -400,7 +403,7 @@ class _Material:
         everything = ranked_errors(costs, counted, failed)
         ranked = everything
         if follows_trajectory(self._metric):
-            kept = self._different(rows)
+            kept = different(self._trajectories[rows])
             ranked = ranked_errors(costs[kept], counted[kept], failed[kept])
         failures = tally(status.values, status.codes[rows[~counted]])
         return Side(
@@ -412,15 +415,6 @@ class _Material:
             ranked=ranked,
             same=len(everything) > 1 and (len(ranked) == 1 or bool(np.isinf(everything).all())),
         )
-
-    def _different(self, rows: Indices) -> Indices:
-        """Return the places of rows of which no earlier one has the same trajectory."""
-        column = self._frame.column("trajectory.sha256")
-        if column.kind.is_numeric:
-            return np.arange(len(rows))
-        codes = column.codes[rows]
-        _, firsts = np.unique(codes, return_index=True)
-        return np.union1d(firsts[codes[firsts] >= 0], np.flatnonzero(codes < 0)).astype(np.intp)
 
     def _version(self, version: Any, rows: Indices) -> Version:
         created = self._frame.column("created").floats()[rows]
