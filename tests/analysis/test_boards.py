@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from slamhive.analysis.boards import Window
 from slamhive.analysis.columns import Column
-from slamhive.analysis.comparing import Comparison, Pair, compare
+from slamhive.analysis.comparing import BoardComparison, CompetitorPair, compare
 from slamhive.analysis.derived import with_derived
 from slamhive.analysis.grouping import aggregate
 from slamhive.analysis.importance import importance
@@ -194,7 +194,7 @@ def test_pairs_of_some_datasets_are_tested_like_those_of_all() -> None:
     lacking = [row for row in rows if (row["algorithm"], row["dataset"]) != ("c", "dataset-2")]
     (whole,), (part,) = compare(frame_of(rows))[0], compare(frame_of(lacking))[0]
 
-    def told(board: Comparison) -> dict[tuple[str, str], Pair]:
+    def told(board: BoardComparison) -> dict[tuple[str, str], CompetitorPair]:
         return {(pair.a["algorithm"], pair.b["algorithm"]): pair for pair in board.pairs}
 
     for names, pair in told(part).items():

@@ -9,7 +9,7 @@ import pytest
 
 from slamhive.analysis.columns import Column
 from slamhive.analysis.derived import with_derived
-from slamhive.analysis.edits import NOT_TRACKED, Edit, Line, edits
+from slamhive.analysis.edits import NOT_TRACKED, Edit, EditLine, edits
 
 if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
@@ -56,7 +56,7 @@ def only(rows: list[dict[str, Any]], metrics: tuple[str, ...] = ("ate.rmse",)) -
     return found
 
 
-def line(edit: Edit, metric: str, dataset: str = "hall") -> Line:
+def line(edit: Edit, metric: str, dataset: str = "hall") -> EditLine:
     (found,) = [one for one in edit.lines if (one.metric, one.keys["dataset"]) == (metric, dataset)]
     return found
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from slamhive.analysis.design import Known, Nearness, Quantity, Setting, design
-from slamhive.analysis.predicting import Interval, predict
+from slamhive.analysis.predicting import CostInterval, predict
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,7 +60,7 @@ def predicted(known: Sequence[Known], *asked: Setting, quantity: Quantity = Quan
     return found
 
 
-def width(span: Interval) -> float:
+def width(span: CostInterval) -> float:
     return span.high / span.low
 
 
@@ -68,7 +68,7 @@ def test_what_ran_before_is_predicted_as_it_ran() -> None:
     asked = [setting(dataset=data, size=size) for data in ("hall", "yard") for size in (500, 1000, 2000)]
     found = predicted(KNOWN, *asked)
     assert set(found.design.nearness) == {Nearness.SETTING}
-    total = Interval.of(found.total(np.full(len(asked), 3.0)))
+    total = CostInterval.of(found.total(np.full(len(asked), 3.0)))
     actual = sum(one.costs[Quantity.CPU] for one in KNOWN)
     assert total.middle == pytest.approx(actual, rel=0.03)
     assert total.low < actual < total.high
@@ -127,11 +127,11 @@ def test_another_processor_and_an_unknown_length_make_it_wider() -> None:
 
 def test_many_runs_are_no_surer_than_what_they_share() -> None:
     few = predicted(KNOWN, setting(dataset="street"))
-    one, many = (Interval.of(few.total(np.array([count]))) for count in (1.0, 1000.0))
+    one, many = (CostInterval.of(few.total(np.array([count]))) for count in (1.0, 1000.0))
     assert many.middle == pytest.approx(1000 * one.middle, rel=0.1)
     assert width(many) > 1.3
     same = predicted(KNOWN, setting())
-    one, many = (Interval.of(same.total(np.array([count]))) for count in (1.0, 1000.0))
+    one, many = (CostInterval.of(same.total(np.array([count]))) for count in (1.0, 1000.0))
     assert width(many) < width(one)
 
 
@@ -148,7 +148,7 @@ def test_another_sweep_differs_as_sweeps_did() -> None:
 
     def width_of(runs: list[Known], occasion: str) -> float:
         found = predicted(runs, setting(occasion=occasion))
-        return width(Interval.of(found.total(np.array([1000.0]))))
+        return width(CostInterval.of(found.total(np.array([1000.0]))))
 
     alike, different = known(1.0, 1.0, 1.0, 1.0), known(1.0, 2.0, 0.7, 1.5)
     assert width_of(alike, "now") > width_of(alike, "sweep 0")
@@ -157,12 +157,12 @@ def test_another_sweep_differs_as_sweeps_did() -> None:
 
 def test_what_a_run_may_take_at_most_bounds_it() -> None:
     draws = predicted(KNOWN, setting(dataset="street")).total(np.array([10.0]), np.array([5.0]))
-    assert Interval.of(draws).middle == pytest.approx(50.0, rel=0.05)
+    assert CostInterval.of(draws).middle == pytest.approx(50.0, rel=0.05)
 
 
 def test_the_largest_of_many_runs_is_larger_than_each() -> None:
     found = predicted(KNOWN, *(setting(size=size) for size in range(980, 1020)))
-    assert Interval.of(found.largest()).middle > 1.1 * found.middles().max()
+    assert CostInterval.of(found.largest()).middle > 1.1 * found.middles().max()
 
 
 def test_nothing_is_said_of_a_cost_that_nobody_measured() -> None:

@@ -27,7 +27,7 @@ import numpy as np
 import yaml
 
 from slamhive.analysis.design import Known, Nearness, Quantity, Setting, design
-from slamhive.analysis.predicting import COVERED, Interval, predict
+from slamhive.analysis.predicting import COVERED, CostInterval, predict
 from slamhive.archive import Archive
 from slamhive.bridges.slamhive1 import find_runs, read_run
 from slamhive.local.running.costs import NOW, Knowledge
@@ -175,7 +175,7 @@ def _predict(group: tuple[list[Known], list[Known]], nearness: Nearness, single:
         for place, cost in enumerate(actual):
             single.note((quantity, nearness), float(low[place]), cost, float(high[place]))
         if len(out) > 1 and quantity is not Quantity.MEMORY:
-            told = Interval.of(found.total(np.ones(len(out))))
+            told = CostInterval.of(found.total(np.ones(len(out))))
             sums.note((quantity, nearness), told.low, sum(actual), told.high)
 
 
@@ -192,7 +192,7 @@ def _sweep(out: Sequence[Known], known: Sequence[Known], whole: Hits) -> None:
         if found is None or None in costs:
             continue
         draws = found.largest() if quantity is Quantity.MEMORY else found.total(np.ones(len(asked)))
-        told, actual = Interval.of(draws), [float(cost or 0.0) for cost in costs]
+        told, actual = CostInterval.of(draws), [float(cost or 0.0) for cost in costs]
         value = max(actual) if quantity is Quantity.MEMORY else sum(actual)
         whole.note((quantity,), told.low, value, told.high)
 

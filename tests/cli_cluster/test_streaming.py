@@ -14,7 +14,7 @@ from slamhive.kube.api.errors import Forbidden
 from slamhive.kube.api.kinds import Kind, Label
 from slamhive.kube.user import logs
 from slamhive.kube.user.api import UserApi
-from slamhive.kube.user.connecting import Cluster, Target
+from slamhive.kube.user.connecting import ConnectedCluster, Target
 from slamhive.kube.user.logs import LogPart, read_log
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
 
 
 @pytest.fixture
-async def cluster(server: Server) -> AsyncIterator[Cluster]:
+async def cluster(server: Server) -> AsyncIterator[ConnectedCluster]:
     application = web.Application()
     place = "/namespaces/lab"
     runs = Kind.MAPPING_RUN.path("lab", "one")
@@ -82,48 +82,48 @@ async def cluster(server: Server) -> AsyncIterator[Cluster]:
     application.router.add_get(f"/api/v1{place}/pods/{{pod}}/log", server.log)
     async with TestServer(application) as running:
         api = UserApi(ApiClient(Configuration(host=str(running.make_url("")).rstrip("/"))), attempts=1)
-        yield Cluster(api, Target(None, None, "lab"))
+        yield ConnectedCluster(api, Target(None, None, "lab"))
         await api.close()
 
 
-async def lines(cluster: Cluster, **options: Any) -> list[str]:
+async def lines(cluster: ConnectedCluster, **options: Any) -> list[str]:
     return [
         text async for part, text in read_log(cluster, "one", "algorithm", **options) if part is LogPart.LINE
     ]
 
 
-async def test_all_lines_come_in_order(cluster: Cluster) -> None:
+async def test_all_lines_come_in_order(cluster: ConnectedCluster) -> None:
     assert await lines(cluster) == [f"line {number}" for number in range(6)]
 
 
 @pytest.mark.parametrize("breaks", [[1], [2, 3], [0, 4, 1], [5]])
 async def test_a_broken_connection_loses_and_repeats_nothing(
-    cluster: Cluster, server: Server, breaks: list[int]
+    cluster: ConnectedCluster, server: Server, breaks: list[int]
 ) -> None:
     server.breaks = breaks
     assert await lines(cluster, follow=True) == [f"line {number}" for number in range(6)]
 
 
-async def test_a_tail_is_asked_for_once(cluster: Cluster, server: Server) -> None:
+async def test_a_tail_is_asked_for_once(cluster: ConnectedCluster, server: Server) -> None:
     server.breaks = [3]
     await lines(cluster, follow=True, tail=2)
     assert [asked.get("tailLines") for asked in server.asked][:2] == ["2", None]
 
 
-async def test_further_attempts_are_followed_and_told(cluster: Cluster, server: Server) -> None:
+async def test_further_attempts_are_followed_and_told(cluster: ConnectedCluster, server: Server) -> None:
     server.attempt = "2"
     told = [item async for item in read_log(cluster, "one", "algorithm", follow=True)]
     assert told[0] == (LogPart.REMARK, "attempt 2")
     assert len(told) == 7
 
 
-async def test_a_log_that_cannot_be_read_is_told(cluster: Cluster, server: Server) -> None:
+async def test_a_log_that_cannot_be_read_is_told(cluster: ConnectedCluster, server: Server) -> None:
     server.refuse, server.phase = 500, "Succeeded"
     told = [text async for _, text in read_log(cluster, "one", "algorithm")]
     assert "cannot get pods/log lab/one-1" in told[0]
 
 
-async def test_a_right_that_is_missing_is_an_error(cluster: Cluster, server: Server) -> None:
+async def test_a_right_that_is_missing_is_an_error(cluster: ConnectedCluster, server: Server) -> None:
     server.refuse = 403
     with pytest.raises(Forbidden, match="pods/log"):
         await lines(cluster)

@@ -18,7 +18,7 @@ import pytest
 from slamhive.archive import Archive
 from slamhive.archive.keeping import backup, restore
 from slamhive.data.files.once import in_use
-from slamhive.jobs.known import Known, all_pages, known_to
+from slamhive.jobs.known import NamesInUse, all_pages, known_to
 from slamhive.model.errors import SystemFault
 from slamhive.model.results import Phase, RunRecord
 
@@ -456,7 +456,7 @@ def test_a_run_needs_the_folder_of_its_result_until_it_may_go(run: Any, known: s
 
 
 def test_objects_say_what_is_known() -> None:
-    assert known_to(OBJECTS.__getitem__) == Known(
+    assert known_to(OBJECTS.__getitem__) == NamesInUse(
         frozenset({ALIVE}), frozenset({"hall", "new", "bare"}), frozenset({KEEP, DROP}), frozenset({"c" * 64})
     )
 

@@ -13,7 +13,7 @@ from slamhive.kube.api.kinds import Kind
 from slamhive.kube.loop import Loop
 from slamhive.kube.reconciling import reconcilers
 from slamhive.kube.reconciling.archiving import at_its_end
-from slamhive.kube.reconciling.sweep_runs import Finished, Tally
+from slamhive.kube.reconciling.sweep_runs import Finished, SweepTally
 from slamhive.kube.records import record_of
 from slamhive.kube.settings import EvaluationJobs
 from slamhive.kube.status import iso
@@ -44,7 +44,7 @@ async def test_what_another_operator_measured_and_removed_counts(tmp_path: Path,
         if "never" not in known:
             archive.put_run(record_of(a_run(results=[RESULT]), attributes={}))
         seen = a_run(results=[RESULT]) if known == "with its result" else a_run()
-        tally = Tally()
+        tally = SweepTally()
         tally.add(Finished.of(await at_its_end(None if known == "no archive" else archive, seen)))
     measured = known in {"with its result", "without"}
     assert (tally.evaluated, [item.ate for item in tally.best]) == ((1, [0.25]) if measured else (0, []))

@@ -13,7 +13,7 @@ from slamhive.engine import PointState
 from slamhive.kube.api.kinds import Label
 from slamhive.kube.reconciling.sweep_runs import (
     Finished,
-    Tally,
+    SweepTally,
     free_slot,
     run_body,
     slots_used,
@@ -87,7 +87,7 @@ def test_slots_of_finished_runs_are_free_again() -> None:
 
 
 def test_a_tally_counts_cpu_once_and_ranks_tracked_runs() -> None:
-    tally = Tally()
+    tally = SweepTally()
     usage = {"cpu": {"seconds": 2.0}}
     tally.add(finished("Succeeded", name="b", usage=usage, results=tracked(0.2)))
     tally.add(finished("Succeeded", name="a", usage=usage, results=tracked(0.1)))

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from slamhive.analysis import Outcomes, Selection, choose
-from slamhive.figures.asking import Kind, Log, Wish
+from slamhive.figures.asking import FigureKind, Log, Wish
 from slamhive.figures.making import picture
 from slamhive.figures.paper import Paper
-from slamhive.figures.pictures import Axis, Box, Dots, Line, Missing, Panel, Picture, Tiles
+from slamhive.figures.pictures import Box, Dots, Line, MissingMark, Panel, Picture, PictureAxis, Tiles
 from slamhive.figures.styles import Style
 from slamhive.figures.widths import WIDTHS, parse_width
 from slamhive.local.home.folder import Home
@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     Slamhive = Callable[..., tuple[int, str, str]]
     Fill = Callable[..., Path]
 
-KINDS = [kind.value for kind in Kind]
+KINDS = [kind.value for kind in FigureKind]
 
 
-def made(home: Path, kind: Kind, where: str | None = None, **wish: Any) -> Picture:
+def made(home: Path, kind: FigureKind, where: str | None = None, **wish: Any) -> Picture:
     frame = choose(read_archive(archive_url(home)), Selection(where=where)).frame
     return picture(frame, Wish(kind, **wish), Home.at(home))
 
@@ -97,7 +97,7 @@ def test_every_kind_of_the_published_runs(
 def test_lines_are_the_medians_of_the_runs_and_say_so(
     published: Path, slamhive: Slamhive, tmp_path: Path
 ) -> None:
-    found = made(published, Kind.LINES, x="nFeatures", y="ate.rmse:cm")
+    found = made(published, FigureKind.LINES, x="nFeatures", y="ate.rmse:cm")
     assert (found.x.label, found.y.label) == ("nFeatures", "ATE RMSE [cm]")
     assert [panel.title for panel in found.panels] == ["rgbd-dataset-freiburg2-desk"]
     (line,) = marks(found, Line)
@@ -123,7 +123,7 @@ def test_lines_are_the_medians_of_the_runs_and_say_so(
     # Without failures a figure's median is the table's; with some, these rank behind all others.
     assert line.x.tolist() == sorted(table)
     assert line.y[0] / 100 == pytest.approx(table[500.0])
-    assert [mark.count for mark in marks(found, Missing)] == [1, 1, 2, 1]
+    assert [mark.count for mark in marks(found, MissingMark)] == [1, 1, 2, 1]
     caption = ". ".join(found.notes)
     assert (
         "each mark is the median of 3 to 7 runs, runs that failed behind all others; bars are the range"
@@ -135,7 +135,7 @@ def test_lines_are_the_medians_of_the_runs_and_say_so(
 def test_means_have_their_standard_deviation(study: Path) -> None:
     found = made(
         study,
-        Kind.LINES,
+        FigureKind.LINES,
         x="nFeatures",
         by="algorithm",
         statistic=Statistic.MEAN,
@@ -148,13 +148,13 @@ def test_means_have_their_standard_deviation(study: Path) -> None:
 
 
 def test_two_diverged_runs_flatten_nothing(forty: Path) -> None:
-    found = made(forty, Kind.SCATTER, x="coverage")
+    found = made(forty, FigureKind.SCATTER, x="coverage")
     assert found.y.limits is not None
     assert found.y.limits.high == pytest.approx(0.0139)
     assert (
         "ATE RMSE [m]: 44, 45 lie outside of the axis and are marked by arrowheads at its edge" in found.notes
     )
-    whole = made(forty, Kind.SCATTER, x="coverage", robust=False, log=Log.NONE)
+    whole = made(forty, FigureKind.SCATTER, x="coverage", robust=False, log=Log.NONE)
     assert whole.y.limits is not None
     assert whole.y.limits.high == 45
     assert not any("outside" in note for note in whole.notes)
@@ -163,7 +163,7 @@ def test_two_diverged_runs_flatten_nothing(forty: Path) -> None:
 def test_what_lies_outside_is_marked_at_the_edge(forty: Path) -> None:
     from slamhive.figures.drawing import Drawing
 
-    found = made(forty, Kind.SCATTER, x="coverage")
+    found = made(forty, FigureKind.SCATTER, x="coverage")
     axes = Drawing(found, WIDTHS["ieee-column"]).draw().axes[0]
     edge = [line for line in axes.lines if not line.get_clip_on()]
     # Two of one place: one arrowhead upwards, and the mark of their series.
@@ -174,7 +174,7 @@ def test_what_lies_outside_is_marked_at_the_edge(forty: Path) -> None:
 def test_panels_share_their_axes_and_name_them(published: Path) -> None:
     from slamhive.figures.drawing import Drawing
 
-    found = made(published, Kind.SCATTER)
+    found = made(published, FigureKind.SCATTER)
     drawn = list(Drawing(found, WIDTHS["ieee-page"]).draw().axes)
     assert len(drawn) == len(found.panels) == 4
     assert len({(axes.get_xlim(), axes.get_ylim()) for axes in drawn}) == 1
@@ -183,17 +183,17 @@ def test_panels_share_their_axes_and_name_them(published: Path) -> None:
 
 
 def test_boxes_hold_every_run_that_counts(study: Path) -> None:
-    found = made(study, Kind.BOX, by="algorithm")
+    found = made(study, FigureKind.BOX, by="algorithm")
     assert found.x.categories == ("dataset-0", "dataset-1", "dataset-2")
     dots = [mark for mark in marks(found, Dots) if mark.series == 0]
     assert sorted(dots[0].y.tolist()) == pytest.approx([0.02, 0.02, 0.021, 0.021])
-    assert [mark.count for mark in marks(found, Missing)] == [2]
+    assert [mark.count for mark in marks(found, MissingMark)] == [2]
     assert sum(row for row in found.columns["drawn"]) == 24
     assert len(found.columns["run"]) == 26
 
 
 def test_many_runs_are_a_box(forty: Path) -> None:
-    found = made(forty, Kind.BOX)
+    found = made(forty, FigureKind.BOX)
     (box,) = marks(found, Box)
     assert len(box.values) == 42
     (outside,) = marks(found, Dots)
@@ -202,7 +202,7 @@ def test_many_runs_are_a_box(forty: Path) -> None:
 
 def test_tiles_are_medians_and_failures_are_crosses(study: Path) -> None:
     found = made(
-        study, Kind.HEAT, x="dataset", y="algorithm", where="dataset != 'dataset-2' or coverage is null"
+        study, FigureKind.HEAT, x="dataset", y="algorithm", where="dataset != 'dataset-2' or coverage is null"
     )
     (tiles,) = marks(found, Tiles)
     assert tiles.values[0, :2].tolist() == pytest.approx([0.0205, 0.0305])
@@ -213,7 +213,7 @@ def test_tiles_are_medians_and_failures_are_crosses(study: Path) -> None:
 
 
 def test_an_ecdf_ends_where_runs_failed(study: Path) -> None:
-    found = made(study, Kind.ECDF, by="algorithm", where="dataset == 'dataset-2'", facet="dataset")
+    found = made(study, FigureKind.ECDF, by="algorithm", where="dataset == 'dataset-2'", facet="dataset")
     better, worse = marks(found, Line)
     assert better.y[-1] == pytest.approx(4 / 6)
     assert worse.y[-1] == 1.0
@@ -223,12 +223,14 @@ def test_an_ecdf_ends_where_runs_failed(study: Path) -> None:
 
 def test_runs_that_the_machine_ended_are_in_no_ecdf(records: Any, fill: Fill) -> None:
     home = fill([*(records.run(2 * number) for number in range(6)), records.failed(12, reason="SystemFault")])
-    found = made(home, Kind.ECDF, by="algorithm", facet="")
+    found = made(home, FigureKind.ECDF, by="algorithm", facet="")
     assert all(line.y[-1] == 1.0 for panel in range(len(found.panels)) for line in marks(found, Line, panel))
 
 
 def test_a_front_goes_through_what_none_beats(study: Path) -> None:
-    found = made(study, Kind.PARETO, x="usage.cpu.meanCores", y="ate.rmse", where="dataset == 'dataset-0'")
+    found = made(
+        study, FigureKind.PARETO, x="usage.cpu.meanCores", y="ate.rmse", where="dataset == 'dataset-0'"
+    )
     way = next(mark for mark in marks(found, Line) if mark.series < 0)
     assert (way.x.tolist(), way.y.tolist()) == ([1.5], pytest.approx([0.0205]))
     filled = [mark.series for mark in marks(found, Dots) if not mark.hollow[0]]
@@ -247,27 +249,27 @@ def test_where_large_is_good_shares_and_fronts_turn_round(records: Any, fill: Fi
         for number, share in enumerate(shares)
     ]
     home = fill([*runs, records.failed(6, spec={"datasetRef": {"name": "hall"}})])
-    found = made(home, Kind.ECDF, x="points.share", by="algorithm")
+    found = made(home, FigureKind.ECDF, x="points.share", by="algorithm")
     first, _ = marks(found, Line)
     assert first.x.tolist() == pytest.approx([0.7, 0.7, 0.6, 0.5, 0.5])
     assert first.y.tolist() == pytest.approx([0, 0.25, 0.5, 0.75, 0.75])
     assert "have at least this share of control points met" in found.notes[0]
-    front = made(home, Kind.PARETO, x="usage.cpu.seconds", y="points.share")
+    front = made(home, FigureKind.PARETO, x="usage.cpu.seconds", y="points.share")
     way = next(mark for mark in marks(front, Line) if mark.series < 0)
     assert (way.x.tolist(), way.y.tolist()) == ([1.0, 2.0], pytest.approx([0.55, 0.8]))
-    back = made(home, Kind.PARETO, x="points.share", y="usage.cpu.seconds")
+    back = made(home, FigureKind.PARETO, x="points.share", y="usage.cpu.seconds")
     way = next(mark for mark in marks(back, Line) if mark.series < 0)
     assert (way.x.tolist(), way.y.tolist()) == (pytest.approx([0.8, 0.6]), [2.0, 1.0])
 
 
 def test_repetitions_are_those_of_one_configuration(study: Path) -> None:
-    found = made(study, Kind.REPETITIONS, where="dataset == 'dataset-0'")
+    found = made(study, FigureKind.REPETITIONS, where="dataset == 'dataset-0'")
     assert len(found.y.categories) == 4
     assert all(sorted(mark.x.tolist()) in ([0.02, 0.021], [0.04, 0.041]) for mark in marks(found, Dots))
 
 
 def test_errors_over_time_are_those_of_the_evaluation(published: Path) -> None:
-    found = made(published, Kind.ERROR_OVER_TIME, where="run == 126 or run == 1")
+    found = made(published, FigureKind.ERROR_OVER_TIME, where="run == 126 or run == 1")
     frame = choose(read_archive(archive_url(published)), Selection(where="run == 126 or run == 1")).frame
     whole = dict(zip(frame.column("run").tolist(), frame.column("ate.rmse").tolist(), strict=True))
     for run in set(found.columns["run"]):
@@ -282,14 +284,14 @@ def test_errors_over_time_are_those_of_the_evaluation(published: Path) -> None:
 
 
 def test_paths_lie_over_their_ground_truth(published: Path) -> None:
-    found = made(published, Kind.TRAJECTORIES, where="algorithm == 'orb-slam3'")
+    found = made(published, FigureKind.TRAJECTORIES, where="algorithm == 'orb-slam3'")
     assert found.truth
     assert found.equal
     assert [panel.title for panel in found.panels] == ["mh-01-easy", "mh-02-easy", "mh-03-medium"]
     assert all(panel.marks[0].series == -1 for panel in found.panels if isinstance(panel.marks[0], Line))
-    each = made(published, Kind.TRAJECTORIES, where="algorithm == 'orb-slam3'", each=True)
+    each = made(published, FigureKind.TRAJECTORIES, where="algorithm == 'orb-slam3'", each=True)
     assert each.runs >= found.runs
-    side = made(published, Kind.TRAJECTORIES, where="run == 126", y="z")
+    side = made(published, FigureKind.TRAJECTORIES, where="run == 126", y="z")
     assert side.y.label == "z [m]"
 
 
@@ -304,7 +306,7 @@ def test_a_run_that_took_over_a_result_has_the_files_of_the_other(
     first = records.run(0, folder=str(folder), sweep="first", finished="2026-01-01T00:00:00Z")
     taken = records.run(12, sweep="study", provenance={"reusedFrom": first.uid})
     home = fill([first, taken])
-    found = made(home, Kind.USAGE, where="sweep == 'study'")
+    found = made(home, FigureKind.USAGE, where="sweep == 'study'")
     assert found.columns["memory"][0] == 1.0
     assert set(found.columns["cpu"]) == {1.5}
 
@@ -358,7 +360,7 @@ def test_each_figure_is_drawn_once(study: Path, form: str, monkeypatch: pytest.M
     drawn, draw = [], figures.Figure.draw
     monkeypatch.setattr(figures.Figure, "draw", lambda *given: (drawn.append(1), draw(*given)))
     paper = Paper(parse_width("ieee-column"), None)
-    assert rendered(made(study, Kind.BOX).settled(), paper, form, {})
+    assert rendered(made(study, FigureKind.BOX).settled(), paper, form, {})
     assert len(drawn) == 1
 
 
@@ -458,17 +460,19 @@ def test_limits_are_settled_over_all_panels() -> None:
     def panel(*numbers: float) -> Panel:
         return Panel("", (Dots(0, np.array(numbers), np.array(numbers)),))
 
-    whole = Picture(Axis("x"), Axis("y"), (panel(1, 2), panel(3, 900)), ("",), (), {}, 4).settled()
+    whole = Picture(
+        PictureAxis("x"), PictureAxis("y"), (panel(1, 2), panel(3, 900)), ("",), (), {}, 4
+    ).settled()
     assert whole.x.log
     assert whole.x.limits is not None
     assert (whole.x.limits.low, whole.x.limits.high) == pytest.approx((1, 900))
 
 
 def test_outcomes_all_draws_them_hollow(study: Path) -> None:
-    found = made(study, Kind.SCATTER, x="coverage", by="algorithm", outcomes=Outcomes.ALL)
+    found = made(study, FigureKind.SCATTER, x="coverage", by="algorithm", outcomes=Outcomes.ALL)
     assert sum(sum(mark.hollow) for number in range(3) for mark in marks(found, Dots, number)) == 1
     with pytest.raises(InputError, match=r"^outcomes: the spread of repetitions"):
-        made(study, Kind.REPETITIONS, outcomes=Outcomes.ALL)
+        made(study, FigureKind.REPETITIONS, outcomes=Outcomes.ALL)
 
 
 def test_one_path_has_its_name_and_matplotlib_says_nothing(caplog: pytest.LogCaptureFixture) -> None:
@@ -476,7 +480,7 @@ def test_one_path_has_its_name_and_matplotlib_says_nothing(caplog: pytest.LogCap
     from slamhive.figures.rendering import rendered
 
     path = np.linspace(0.0, 9.0, 20)
-    axis = Axis("x [m]", log=False, robust=False)
+    axis = PictureAxis("x [m]", log=False, robust=False)
     found = Picture(
         axis,
         axis,

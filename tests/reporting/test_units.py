@@ -11,7 +11,7 @@ from slamhive.analysis.metrics import declared_units, label_of
 from slamhive.archive import Archive
 from slamhive.archive.records import CatalogEntry
 from slamhive.dashboard.answers.columns import heading
-from slamhive.figures.asking import Kind, Wish
+from slamhive.figures.asking import FigureKind, Wish
 from slamhive.figures.making import picture
 from slamhive.local.home.folder import Home
 from slamhive.tables.homes import Beside, read_homes
@@ -83,9 +83,9 @@ def test_units_hold_inside_alone() -> None:
 def test_figures_name_axes_with_them(study: Path) -> None:
     declare(study, "m", "m")
     frame = read_archive(url(study))
-    drawn = picture(frame, Wish(Kind.LINES, x="k"), Home.at(study))
+    drawn = picture(frame, Wish(FigureKind.LINES, x="k"), Home.at(study))
     assert (drawn.x.label, drawn.y.label) == ("k [m]", "ATE RMSE [m]")
-    apart = picture(frame, Wish(Kind.LINES, x="repetition", by="k"), Home.at(study))
+    apart = picture(frame, Wish(FigureKind.LINES, x="repetition", by="k"), Home.at(study))
     assert "k 0.5 m" in " ".join(apart.series)
 
 

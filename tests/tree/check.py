@@ -34,7 +34,7 @@ RIDDLES = re.compile(
 """First lines of docstrings, which ruff has begin like this: parsing all modules takes ten times as long."""
 CLASSES = re.compile(r"^class \w+", re.MULTILINE)
 GLOSSARY = ("variant", "point", "slot", "attempt", "twin", "board", "common support")
-MOST_SHARED = 30
+MOST_SHARED = 20
 """Class names that may stand for several things, as those of the evaluator's API and of our objects do."""
 FULLEST = 30
 """Files that may lie side by side in a folder of our packages."""

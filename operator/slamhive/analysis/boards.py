@@ -155,7 +155,7 @@ class Grid:
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedGrids:
     """Grids of one question, with sentences on what is pooled in them."""
 
     grids: list[Grid]
@@ -164,7 +164,7 @@ class Prepared:
 
 def prepare(
     frame: Frame, metrics: Sequence[str], by: Sequence[str], outcomes: Outcomes, *, by_dataset: bool = False
-) -> Prepared:
+) -> PreparedGrids:
     """Split runs into grids of what can be compared.
 
     Figures on errors are compared over processors, which is said; those on load never are.
@@ -206,7 +206,7 @@ def prepare(
             mine = [of_row[rows[part]] for of_row in marks]
             grids.append(_grid(inside.select(part), shared, metric, told, mine))
     grids.sort(key=lambda grid: -len(grid.frame))
-    return Prepared(grids, tuple(notes))
+    return PreparedGrids(grids, tuple(notes))
 
 
 def _comparable(frame: Frame, by: Sequence[str]) -> list[Mask]:

@@ -50,7 +50,7 @@ _RATIOS_AT_ONCE = 200_000
 
 
 @dataclass(frozen=True)
-class Pair:
+class CompetitorPair:
     """Two competitors over their common datasets.
 
     Attributes:
@@ -94,7 +94,7 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class BoardComparison:
     """Pairs of one board.
 
     Attributes:
@@ -105,7 +105,7 @@ class Comparison:
     """
 
     facets: dict[str, Any]
-    pairs: list[Pair]
+    pairs: list[CompetitorPair]
     competitors: int
     shown: int
 
@@ -116,7 +116,7 @@ def compare(
     by: Sequence[str] = COMPETITORS,
     outcomes: Outcomes = Outcomes.TRACKED,
     window: Window | None = None,
-) -> tuple[list[Comparison], list[str]]:
+) -> tuple[list[BoardComparison], list[str]]:
     """Compare competitors two by two; returns one comparison a board, and notes.
 
     All pairs of a board are tested, and p is corrected for their number, whichever are shown.
@@ -149,7 +149,7 @@ def compare(
     return boards, list(dict.fromkeys(notes))
 
 
-def _compared(grid: Grid, chosen: Indices) -> Comparison:
+def _compared(grid: Grid, chosen: Indices) -> BoardComparison:
     medians = grid.medians
     first, second = np.triu_indices(len(grid.competitors), 1)
     common = ~np.isnan(medians[first]) & ~np.isnan(medians[second])
@@ -173,7 +173,7 @@ def _compared(grid: Grid, chosen: Indices) -> Comparison:
     shown = np.flatnonzero(np.isin(first, chosen) & np.isin(second, chosen))
     told = [(int(first[k]), int(second[k]), np.flatnonzero(common[k])) for k in shown]
     pairs_shown = [
-        Pair(
+        CompetitorPair(
             a=grid.competitors[a],
             b=grid.competitors[b],
             datasets=[grid.datasets[place] for place in both.tolist()],
@@ -198,7 +198,7 @@ def _compared(grid: Grid, chosen: Indices) -> Comparison:
         )
     ]
     pairs_shown.sort(key=lambda pair: (pair.p_holm, -abs(pair.effect)))
-    return Comparison(grid.facets, pairs_shown, len(grid.competitors), len(chosen))
+    return BoardComparison(grid.facets, pairs_shown, len(grid.competitors), len(chosen))
 
 
 def _mean_ratio(first: Floats, second: Floats, sign: float) -> float:

@@ -28,7 +28,7 @@ NOT_TRACKED = "runs not tracked"
 
 
 @dataclass(frozen=True)
-class Line:
+class EditLine:
     """One figure on one dataset, before and after.
 
     Attributes:
@@ -74,7 +74,7 @@ class Edit:
     name: str
     before: Version
     after: Version
-    lines: list[Line]
+    lines: list[EditLine]
     settings: int
     unpaired: int
     disturbed: tuple[int, int]
@@ -152,9 +152,9 @@ def _disturbed(frame: Frame, changed: str, name: str, version: str) -> int:
     return count_distinct(frame.column("id").floats()[own])
 
 
-def _line(keys: dict[str, Any], change: Change) -> Line:
+def _line(keys: dict[str, Any], change: Change) -> EditLine:
     sides = [np.array([getattr(one, side).median for one in change.settings]) for side in ("before", "after")]
-    return Line(
+    return EditLine(
         keys=keys,
         metric=change.metric,
         before=_geometric_mean(sides[0]),
@@ -175,7 +175,7 @@ def _geometric_mean(values: Floats) -> float:
         return float(np.exp(np.log(values).mean()))
 
 
-def _failures(keys: dict[str, Any], change: Change) -> Line:
+def _failures(keys: dict[str, Any], change: Change) -> EditLine:
     """Return the share of the paired settings' runs without a figure that counts, tested within settings."""
     before = [_unsound(setting.before) for setting in change.settings]
     after = [_unsound(setting.after) for setting in change.settings]
@@ -194,7 +194,7 @@ def _failures(keys: dict[str, Any], change: Change) -> Line:
         p, least = permutation_test(pairs)
         told = verdict(p, least)
     numbers = sum(one.number for one in before), sum(one.number for one in after)
-    return Line(
+    return EditLine(
         keys=keys,
         metric=NOT_TRACKED,
         before=numbers[0],

@@ -51,7 +51,7 @@ _USUAL = {
 
 
 @dataclass
-class Interval:
+class CostInterval:
     """A prediction: the middle one of all that are thought possible, and what most of them lie between."""
 
     middle: float
@@ -59,7 +59,7 @@ class Interval:
     high: float
 
     @classmethod
-    def of(cls, draws: Floats) -> Interval:
+    def of(cls, draws: Floats) -> CostInterval:
         """Return the interval of draws."""
         edge = (1.0 - COVERED) / 2
         low, middle, high = np.quantile(draws, (edge, 0.5, 1.0 - edge)).tolist()

@@ -117,7 +117,7 @@ class Side:
 
 
 @dataclass(frozen=True)
-class Setting:
+class VersionSetting:
     """Runs of both versions that agree in everything but the version.
 
     Attributes:
@@ -184,7 +184,7 @@ class Change:
     before: Version
     after: Version
     current: bool
-    settings: list[Setting]
+    settings: list[VersionSetting]
     unpaired: int
     ratio: float
     wins: tuple[int, int, int]
@@ -383,7 +383,9 @@ class _Material:
             differences=self._other_differences(before[1], after[1]),
         )
 
-    def _paired(self, names: Sequence[str], before: Indices, after: Indices) -> tuple[list[Setting], int]:
+    def _paired(
+        self, names: Sequence[str], before: Indices, after: Indices
+    ) -> tuple[list[VersionSetting], int]:
         """Return the settings with ranks on both sides, and the number of the others."""
         both = np.concatenate([before, after])
         groups = Groups(self._frame.select(both), names)
@@ -393,7 +395,7 @@ class _Material:
             is_before = places < len(before)
             sides = self._side(rows[is_before]), self._side(rows[~is_before])
             if not any(math.isnan(side.median) for side in sides):
-                settings.append(Setting(keys, *sides, self._sign))
+                settings.append(VersionSetting(keys, *sides, self._sign))
         return settings, groups.count - len(settings)
 
     def _side(self, rows: Indices) -> Side:
@@ -441,14 +443,14 @@ def _hashable(value: Any) -> Any:
     return str(value) if isinstance(value, list | dict) else value
 
 
-def _worse(settings: Sequence[Setting], sign: float) -> Floats:
+def _worse(settings: Sequence[VersionSetting], sign: float) -> Floats:
     """Return by how much each setting is worse after than before, as logarithms, (n,)."""
     sides = [[one.before.median for one in settings], [one.after.median for one in settings]]
     before, after = sign * np.array(sides)
     return log_ratios(before, after, sign)
 
 
-def _tested(settings: Sequence[Setting], signs: Floats) -> tuple[str | None, float, float]:
+def _tested(settings: Sequence[VersionSetting], signs: Floats) -> tuple[str | None, float, float]:
     """Return the name of the test, p and the least p there could be."""
     if not settings or all(setting.deterministic for setting in settings):
         return None, 1.0, 1.0

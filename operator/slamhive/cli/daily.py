@@ -25,7 +25,7 @@ from slamhive.tables.text import key_text
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from slamhive.analysis.edits import Edit, Line
+    from slamhive.analysis.edits import Edit, EditLine
     from slamhive.local.home.folder import Home
     from slamhive.local.running.runner import Job
 
@@ -165,11 +165,11 @@ def _settings(count: int) -> str:
     return "1 setting" if count == 1 else f"{count} settings"
 
 
-def _varies(lines: Sequence[Line], name: str) -> bool:
+def _varies(lines: Sequence[EditLine], name: str) -> bool:
     return len({str(line.keys.get(name)) for line in lines}) > 1
 
 
-def _texts(line: Line) -> list[str]:
+def _texts(line: EditLine) -> list[str]:
     if line.of is not None:
         sides = [
             f"{value:.0f} of {count}" for value, count in zip((line.before, line.after), line.of, strict=True)

@@ -13,7 +13,7 @@ import typer
 from slamhive.analysis import Outcomes
 from slamhive.cli.parts.choosing import Also, EvaluationName, Superseded, Sweeps, Where, choose_runs, select
 from slamhive.cli.parts.console import remark
-from slamhive.figures.asking import Kind, Log, Wish
+from slamhive.figures.asking import FigureKind, Log, Wish
 from slamhive.figures.making import form_of, numbers_file, picture, save
 from slamhive.figures.paper import Paper
 from slamhive.figures.styles import Face
@@ -36,7 +36,7 @@ class Hold(Choice):
 
 @uncollected()
 def figure(
-    kind: Annotated[Kind, typer.Argument(help="What it shows.", show_default=False)],
+    kind: Annotated[FigureKind, typer.Argument(help="What it shows.", show_default=False)],
     *,
     output: Annotated[
         Path | None,

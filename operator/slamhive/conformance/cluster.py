@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from typing import Self
 
     from slamhive.conformance.workstation import CheckBench
-    from slamhive.kube.user.connecting import Cluster
+    from slamhive.kube.user.connecting import ConnectedCluster
     from slamhive.kube.user.manifests import Manifest
     from slamhive.model.base import Resource
     from slamhive.model.results import RunRecord
@@ -61,7 +61,7 @@ class OnCluster:
         bench: CheckBench,
         name: str,
         dataset: str | None,
-        connect: Callable[[], AbstractAsyncContextManager[Cluster]],
+        connect: Callable[[], AbstractAsyncContextManager[ConnectedCluster]],
     ) -> None:
         self._bench = bench
         self._algorithm = name
@@ -139,7 +139,7 @@ class OnCluster:
             template["datasetRef"] = {"name": f"{template['datasetRef']['name']}-{self._token}"}
         return Sweep.model_validate(asked)
 
-    async def _entries(self, cluster: Cluster, sweep: Sweep) -> list[Manifest]:
+    async def _entries(self, cluster: ConnectedCluster, sweep: Sweep) -> list[Manifest]:
         """Return the Algorithm and the Dataset that a sweep names, as far as they have to be sent."""
         workshop, spec = self._bench.workshop, sweep.spec.template.spec
         items: list[Resource] = [
@@ -156,13 +156,13 @@ class OnCluster:
             )
         return [entry_of(item, "the check") for item in items]
 
-    async def _send(self, cluster: Cluster, manifests: Sequence[Manifest]) -> None:
+    async def _send(self, cluster: ConnectedCluster, manifests: Sequence[Manifest]) -> None:
         for one in manifests:
             if one.kind is not Kind.SWEEP and (one.kind, one.name) not in self._made:
                 self._made.append((one.kind, one.name))  # before: it may be there though the answer was lost
         await send(cluster, manifests)
 
-    async def _wait(self, cluster: Cluster, name: str, patience: float) -> Object:
+    async def _wait(self, cluster: ConnectedCluster, name: str, patience: float) -> Object:
         """Return the Sweep when its run has ended and been evaluated.
 
         Raises:
@@ -190,7 +190,7 @@ class OnCluster:
             await asyncio.sleep(LOOK_SECONDS)
         raise SystemFault(f"the cluster did not finish a run within {patience / 60:.0f} minutes")
 
-    async def _fetch(self, cluster: Cluster, body: Object) -> tuple[RunRecord, str]:
+    async def _fetch(self, cluster: ConnectedCluster, body: Object) -> tuple[RunRecord, str]:
         """Return the run of a finished Sweep, and why its files are not here, empty where they are."""
         bench = self._bench
         catalog = await read_catalog(cluster)
@@ -213,7 +213,7 @@ class OnCluster:
             raise SystemFault("the cluster has no run of the Sweep")
         return records[0], why
 
-    async def _delete(self, cluster: Cluster, kind: Kind, name: str) -> None:
+    async def _delete(self, cluster: ConnectedCluster, kind: Kind, name: str) -> None:
         with suppress(NotFound):
             await cluster.api.delete(cluster.key(kind, name))
 

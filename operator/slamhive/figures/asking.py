@@ -30,7 +30,7 @@ MOST_SERIES = 12
 MOST_CATEGORIES = 60
 
 
-class Kind(Choice):
+class FigureKind(Choice):
     """Kinds of figures that can be drawn: scatter plots, box plots, heat maps, trajectories and others."""
 
     SCATTER = "scatter"
@@ -47,7 +47,7 @@ class Kind(Choice):
     @property
     def is_of_files(self) -> bool:
         """True if it is made of files in the folders of runs, and not of the table of runs alone."""
-        return self in {Kind.TRAJECTORIES, Kind.ERROR_OVER_TIME, Kind.USAGE}
+        return self in {FigureKind.TRAJECTORIES, FigureKind.ERROR_OVER_TIME, FigureKind.USAGE}
 
 
 class Log(Choice):
@@ -82,7 +82,7 @@ class Wish:
         each: whether every run is drawn, where one would stand for several.
     """
 
-    kind: Kind
+    kind: FigureKind
     x: str | None = None
     y: str | None = None
     by: str | None = None

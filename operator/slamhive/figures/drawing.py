@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.figures.pictures import Axis, Box, Dots, Line, Missing, Ranges, Tiles
+from slamhive.figures.pictures import Box, Dots, Line, MissingMark, PictureAxis, Ranges, Tiles
 from slamhive.figures.styles import SCALE, Style
 from slamhive.figures.widths import MM
 from slamhive.model.errors import InputError
@@ -97,7 +97,7 @@ class Drawing:
             for mark in panel.marks:
                 made = self._draw(axes, mark)
                 tiles = made if made is not None else tiles
-            self._missing(axes, [mark for mark in panel.marks if isinstance(mark, Missing)])
+            self._missing(axes, [mark for mark in panel.marks if isinstance(mark, MissingMark)])
             self._name(axes, panel)
             if not picture.apart:
                 self._outside(axes, panel)
@@ -148,7 +148,7 @@ class Drawing:
         names = max(map(len, self._texts("y", self._picture.y)), default=0) * letter
         return (self._inches * 0.8 - names - 3 * self._em) / self._across / count
 
-    def _texts(self, side: str, axis: Axis) -> list[str]:
+    def _texts(self, side: str, axis: PictureAxis) -> list[str]:
         """Return texts along an axis, as long as there is room for."""
         letter = self._points * 0.8125 * _LETTER / 72
         most = _LONGEST if side == "x" else max(8, int(0.42 * self._inches / self._across / letter))
@@ -176,7 +176,7 @@ class Drawing:
             if below >= len(picture.panels):
                 axes.tick_params(axis="x", which="both", labelbottom=True)
 
-    def _prepare_axis(self, axes: Any, side: str, axis: Axis) -> None:
+    def _prepare_axis(self, axes: Any, side: str, axis: PictureAxis) -> None:
         limits = axis.limits
         set_limits = getattr(axes, f"set_{side}lim")
         own = getattr(axes, f"{side}axis")
@@ -212,13 +212,13 @@ class Drawing:
             own.set_major_locator(ticker.MaxNLocator(4 if self._across > 2 else 5))
         own.set_major_formatter(ticker.FuncFormatter(_number))
 
-    def _ends(self, axis: Axis, side: str) -> tuple[float, float]:
+    def _ends(self, axis: PictureAxis, side: str) -> tuple[float, float]:
         """Return the ends of an axis: what it has to hold, and some air."""
         limits = axis.limits
         assert limits is not None  # noqa: S101 - the caller looked
         low, high = limits.low, limits.high
         marks = [mark for panel in self._picture.panels for mark in panel.marks]
-        head = 0.12 if side == "y" and any(isinstance(mark, Missing) for mark in marks) else 0.05
+        head = 0.12 if side == "y" and any(isinstance(mark, MissingMark) for mark in marks) else 0.05
         if axis.ends is not None:
             return low, high + 0.03 * (high - low)
         if axis.log:
@@ -339,7 +339,7 @@ class Drawing:
         )
         axes.hlines(middle, left, right, color=style.colour, linewidth=0.22 * self._points, zorder=3)
 
-    def _missing(self, axes: Any, marks: Sequence[Missing]) -> None:
+    def _missing(self, axes: Any, marks: Sequence[MissingMark]) -> None:
         """Write numbers of runs without a figure above their places, in as many lines as they need."""
         size = 0.75 * self._points
         low, high = axes.get_xlim()
@@ -491,7 +491,7 @@ class Drawing:
             mark
             for panel in self._picture.panels
             for mark in panel.marks
-            if not isinstance(mark, Missing | Tiles) and mark.series == number
+            if not isinstance(mark, MissingMark | Tiles) and mark.series == number
         ]
         if any(isinstance(mark, Box) for mark in own):
             return patches.Patch(facecolor="white", edgecolor=style.colour, hatch=style.hatch)
@@ -509,7 +509,7 @@ class Drawing:
 
 def _beyond(mark: Mark, picture: Picture) -> Iterator[tuple[float, float, str]]:
     """Go through what of a mark lies outside of the axes: its place on the edge, and which edge."""
-    if isinstance(mark, Tiles | Missing):
+    if isinstance(mark, Tiles | MissingMark):
         return
     if isinstance(mark, Box):
         points = [(mark.at, float(value)) for value in mark.values] if len(mark.values) > 60 else []

@@ -26,7 +26,7 @@ from slamhive.figures.asking import (
     setting_of,
 )
 from slamhive.figures.counts import Tally, span
-from slamhive.figures.pictures import Axis, Box, Dots, Line, Missing, Panel, Picture, Ranges, Tiles
+from slamhive.figures.pictures import Box, Dots, Line, MissingMark, Panel, Picture, PictureAxis, Ranges, Tiles
 from slamhive.model.errors import InputError
 from slamhive.reporting.markup import shown
 from slamhive.reporting.papertables import Statistic
@@ -95,11 +95,11 @@ class Along:
             self.texts = tuple(", ".join(shown(value) for value in key.values()) for key in keys)
             self._places = {_identity(key): float(place) for place, key in enumerate(keys)}
 
-    def axis(self, log: bool | None = None) -> Axis:
+    def axis(self, log: bool | None = None) -> PictureAxis:
         """Return the axis."""
         if self._metric is not None and not self.texts:
-            return Axis(self._metric.label, log, robust=False)
-        return Axis(", ".join(label_of(name) for name in self.names), categories=self.texts)
+            return PictureAxis(self._metric.label, log, robust=False)
+        return PictureAxis(", ".join(label_of(name) for name in self.names), categories=self.texts)
 
     def place(self, keys: dict[str, Any]) -> float:
         """Return the place of some keys; NaN where the number is missing."""
@@ -137,7 +137,7 @@ def lines(frame: Frame, wish: Wish) -> Picture:
     cells = [cell for _, cells in kept for cell in cells]
     return Picture(
         x=along.axis(wish.log.of("x")),
-        y=Axis(y.label, wish.log.of("y"), robust=wish.robust),
+        y=PictureAxis(y.label, wish.log.of("y"), robust=wish.robust),
         panels=panels,
         series=series.labels,
         notes=(
@@ -186,11 +186,11 @@ def _breadth(cells: Sequence[Cell], name: str, by: Sequence[str]) -> int:
 
 def _line_marks(
     cells: Sequence[Cell], along: Along, series: Series, y: Metric, statistic: Statistic
-) -> list[Line | Missing]:
+) -> list[Line | MissingMark]:
     ways: dict[int, list[Cell]] = {}
     for cell in cells:
         ways.setdefault(series.of(cell.keys), []).append(cell)
-    marks: list[Line | Missing] = []
+    marks: list[Line | MissingMark] = []
     failed: Counter[tuple[int, float]] = Counter()
     for number, members in ways.items():
         ordered = sorted(members, key=lambda cell: along.place(cell.keys))
@@ -200,7 +200,10 @@ def _line_marks(
         for place, cell in zip(places, ordered, strict=True):
             key = (number if len(ways) <= MOST_COUNTED else -1, place)
             failed[key] += sum(cell.failures.values())
-    return [*marks, *(Missing(number, place, count) for (number, place), count in failed.items() if count)]
+    return [
+        *marks,
+        *(MissingMark(number, place, count) for (number, place), count in failed.items() if count),
+    ]
 
 
 def _three(figure: Summed, statistic: Statistic) -> tuple[float, float, float]:
@@ -258,7 +261,7 @@ def box(frame: Frame, wish: Wish) -> Picture:
         what.append(f"below {_LEAST_BOX} runs: each of them, with a bar at the median")
     return Picture(
         x=along.axis(),
-        y=Axis(y.label, wish.log.of("y"), robust=wish.robust),
+        y=PictureAxis(y.label, wish.log.of("y"), robust=wish.robust),
         panels=tuple(panels),
         series=series.labels,
         notes=(
@@ -286,8 +289,8 @@ def _values(frame: Frame, found: Aggregate, metric: Metric, wish: Wish) -> list[
 
 def _box_marks(
     members: Sequence[tuple[Cell, Floats]], along: Along, series: Series
-) -> list[Box | Dots | Ranges | Missing]:
-    marks: list[Box | Dots | Ranges | Missing] = []
+) -> list[Box | Dots | Ranges | MissingMark]:
+    marks: list[Box | Dots | Ranges | MissingMark] = []
     places: dict[float, list[tuple[int, Cell, Floats]]] = {}
     for cell, values in members:
         places.setdefault(along.place(cell.keys), []).append((series.of(cell.keys), cell, values))
@@ -297,11 +300,11 @@ def _box_marks(
             at = place + (turn - (len(inside) - 1) / 2) * room
             marks += _one_box(number, at, room, values)
             if len(inside) <= MOST_COUNTED and (failed := sum(cell.failures.values())):
-                marks.append(Missing(number, at, failed))
+                marks.append(MissingMark(number, at, failed))
         if len(inside) > MOST_COUNTED and (
             failed := sum(sum(cell.failures.values()) for _, cell, _ in inside)
         ):
-            marks.append(Missing(-1, place, failed))
+            marks.append(MissingMark(-1, place, failed))
     return marks
 
 
@@ -372,7 +375,7 @@ def heat(frame: Frame, wish: Wish) -> Picture:
         ),
         columns=as_columns(flat_cells(found)),
         runs=len(parts.frame),
-        colour=Axis(colour.label, wish.log.of("y"), robust=wish.robust),
+        colour=PictureAxis(colour.label, wish.log.of("y"), robust=wish.robust),
     )
 
 
@@ -412,7 +415,7 @@ def front(frame: Frame, wish: Wish) -> Picture:
     check_series(by, labels)
     panels, rows = [], []
     for one in fronts:
-        marks: list[Dots | Ranges | Line | Missing] = []
+        marks: list[Dots | Ranges | Line | MissingMark] = []
         known = [spot for spot in one.spots if math.isfinite(spot.x) and math.isfinite(spot.y)]
         best = [spot for spot in known if spot.front]
         corners = np.array([[spot.x * x.factor, spot.y * y.factor] for spot in best]).reshape(-1, 2)
@@ -455,8 +458,8 @@ def front(frame: Frame, wish: Wish) -> Picture:
         else []
     )
     return Picture(
-        x=Axis(x.label, wish.log.of("x"), robust=wish.robust),
-        y=Axis(y.label, wish.log.of("y"), robust=wish.robust),
+        x=PictureAxis(x.label, wish.log.of("x"), robust=wish.robust),
+        y=PictureAxis(y.label, wish.log.of("y"), robust=wish.robust),
         panels=tuple(panels),
         series=tuple(labels),
         notes=(stated, *lost, *tally.notes(wish.outcomes, above=False), *notes, *left),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from slamhive import __version__
 from slamhive.analysis.metrics import declared_units
 from slamhive.data.files.outputs import output_whole
-from slamhive.figures.asking import Kind
+from slamhive.figures.asking import FigureKind
 from slamhive.model.errors import InputError
 from slamhive_eval.formats.csv_writing import csv_text
 
@@ -46,7 +46,7 @@ def picture(
     Raises:
         InputError: it can't be drawn, or nothing would be seen.
     """
-    if published and wish.kind is not Kind.SCATTER:
+    if published and wish.kind is not FigureKind.SCATTER:
         raise InputError("published numbers are drawn by scatter alone", "published")
     with declared_units(frame.units):
         return _picture(frame, wish, home, also, published=published)
@@ -60,15 +60,15 @@ def _picture(frame: Frame, wish: Wish, home: Home, also: Sequence[Beside], *, pu
         return paths(frame, wish, home, also).settled()
     from slamhive.figures import groups, singles  # noqa: PLC0415
 
-    if wish.kind is Kind.SCATTER:
+    if wish.kind is FigureKind.SCATTER:
         return singles.scatter(frame, wish, _published(frame, home) if published else ()).settled()
     makers = {
-        Kind.LINES: groups.lines,
-        Kind.BOX: groups.box,
-        Kind.HEAT: groups.heat,
-        Kind.PARETO: groups.front,
-        Kind.ECDF: singles.ecdf,
-        Kind.REPETITIONS: singles.repetitions,
+        FigureKind.LINES: groups.lines,
+        FigureKind.BOX: groups.box,
+        FigureKind.HEAT: groups.heat,
+        FigureKind.PARETO: groups.front,
+        FigureKind.ECDF: singles.ecdf,
+        FigureKind.REPETITIONS: singles.repetitions,
     }
     return makers[wish.kind](frame, wish).settled()
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis import Outcomes
-from slamhive.figures.asking import Kind, Log, Wish
+from slamhive.figures.asking import FigureKind, Log, Wish
 from slamhive.figures.drawing import Drawing, library
 from slamhive.figures.making import picture
 from slamhive.figures.styles import Face, settings
@@ -83,7 +83,7 @@ class Figures:
             slamhive.model.errors.InputError: it can't be drawn; the sentence says why.
         """
         wish = Wish(
-            _choice(Kind, "kind", kind),
+            _choice(FigureKind, "kind", kind),
             x,
             y,
             by,
@@ -91,7 +91,7 @@ class Figures:
             _choice(Outcomes, "outcomes", outcomes),
             _choice(Statistic, "statistic", statistic),
             _choice(Log, "log", log),
-            {"robust": True, "all": False}[str(_choice(_Limits, "limits", limits))],
+            {"robust": True, "all": False}[str(_choice(_AxisLimits, "limits", limits))],
             each,
         )
         size, face = parse_width(width), _choice(Face, "font", font)
@@ -122,7 +122,7 @@ class Figures:
         return whole.select(np.array(kept, dtype=bool)), home, others
 
 
-class _Limits(Choice):
+class _AxisLimits(Choice):
     ROBUST = "robust"
     ALL = "all"
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from slamhive.analysis.grouping import Groups, counting
 from slamhive.bridges.places import Here
-from slamhive.figures.asking import Kind, check_panels, error_of, nothing, parted
+from slamhive.figures.asking import FigureKind, check_panels, error_of, nothing, parted
 from slamhive.figures.groups import Series
-from slamhive.figures.pictures import Axis, Line, Panel, Picture
+from slamhive.figures.pictures import Line, Panel, Picture, PictureAxis
 from slamhive.model.errors import InputError
 from slamhive.model.results import MemoryKind
 from slamhive.runfiles.clocks import clock_of, configuration_of
@@ -114,7 +114,7 @@ class _Lines:
         self.missing: list[str] = []
         self.runs = 0
 
-    def read(self, found: Found | str, choice: Choice, reader: Reader, *, thin: bool) -> None:
+    def read(self, found: Found | str, choice: ChosenRun, reader: Reader, *, thin: bool) -> None:
         """Read a run's file; what can't be read is said."""
         if isinstance(found, str):
             self.missing.append(found)
@@ -138,7 +138,7 @@ class _Lines:
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class ChosenRun:
     """A run that is drawn.
 
     Attributes:
@@ -159,18 +159,18 @@ def paths(frame: Frame, wish: Wish, home: Home, also: Sequence[Beside] = ()) -> 
     reader = _READERS[wish.kind](wish)
     by, facet = wish.series(frame, ("dataset",)), wish.columns("facet", (), frame)
     facet = tuple(dict.fromkeys([*facet, *(("dataset",) if "dataset" not in by else ())]))
-    parts = parted(frame, facet, by, ("usage.",) if wish.kind is Kind.USAGE else ())
+    parts = parted(frame, facet, by, ("usage.",) if wish.kind is FigureKind.USAGE else ())
     varying = [name for name in parts.names if len({repr(keys[name]) for keys, _ in parts.panels}) > 1]
     check_panels(len(parts.panels), varying, parts.frame, wish.facet)
     series = Series(by, parts.frame)
     chosen = [
-        Choice(panel, series.of(values), keys | values, part, row)
+        ChosenRun(panel, series.of(values), keys | values, part, row)
         for panel, (keys, part) in enumerate(parts.panels)
         for rows, values in _groups(part, by)
         for row in _chosen(part, rows, wish)
     ]
     if not chosen:
-        raise nothing("a path" if wish.kind is not Kind.USAGE else "usage")
+        raise nothing("a path" if wish.kind is not FigureKind.USAGE else "usage")
     if len(chosen) > MOST_RUNS:
         raise InputError(
             f"{len(chosen):,} runs would be drawn, and the files of at most {MOST_RUNS} are read for a "
@@ -189,13 +189,13 @@ def paths(frame: Frame, wish: Wish, home: Home, also: Sequence[Beside] = ()) -> 
             panels.append(Panel(title, (*truth, *lines.drawn[number])))
     lost = [f"{len(lines.missing)} of them not drawn: {lines.missing[0]}"] if lines.missing else []
     datasets = {repr(choice.keys.get("dataset")) for choice in chosen}
-    is_path = wish.kind is Kind.TRAJECTORIES
+    is_path = wish.kind is FigureKind.TRAJECTORIES
     return Picture(
-        x=Axis(reader.labels[0], bool(wish.log.of("x")), robust=False),
-        y=Axis(
+        x=PictureAxis(reader.labels[0], bool(wish.log.of("x")), robust=False),
+        y=PictureAxis(
             reader.labels[1],
             bool(wish.log.of("y")),
-            robust=wish.robust and wish.kind is Kind.ERROR_OVER_TIME,
+            robust=wish.robust and wish.kind is FigureKind.ERROR_OVER_TIME,
         ),
         panels=tuple(panels),
         series=series.labels,
@@ -224,7 +224,7 @@ def _chosen(part: Frame, rows: Indices, wish: Wish) -> list[int]:
     return [int(counted[order[(known - 1) // 2]])]
 
 
-def _stated(wish: Wish, frame: Frame, chosen: list[Choice]) -> str:
+def _stated(wish: Wish, frame: Frame, chosen: list[ChosenRun]) -> str:
     count = int(counting(frame, wish.outcomes).sum())
     if wish.each:
         return f"each line is one of {len(chosen)} runs"
@@ -236,7 +236,7 @@ def _stated(wish: Wish, frame: Frame, chosen: list[Choice]) -> str:
     )
 
 
-def _located(chosen: list[Choice], home: Home, also: Sequence[Beside]) -> Iterator[Found | str]:
+def _located(chosen: list[ChosenRun], home: Home, also: Sequence[Beside]) -> Iterator[Found | str]:
     """Go through the runs with their folders; a sentence for one that has none here."""
     places = {OWN: (home.archive_url, home.path), **{one.label: (one.url, one.path) for one in also}}
     homes: dict[str, tuple[Here, list[CatalogEntry]]] = {}
@@ -320,8 +320,8 @@ def _usage(wish: Wish) -> Reader:
     return Reader(read, "t", what, ("time since the start [s]", names[what]))
 
 
-_READERS: dict[Kind, Callable[[Wish], Reader]] = {
-    Kind.TRAJECTORIES: _trajectories,
-    Kind.ERROR_OVER_TIME: _errors,
-    Kind.USAGE: _usage,
+_READERS: dict[FigureKind, Callable[[Wish], Reader]] = {
+    FigureKind.TRAJECTORIES: _trajectories,
+    FigureKind.ERROR_OVER_TIME: _errors,
+    FigureKind.USAGE: _usage,
 }

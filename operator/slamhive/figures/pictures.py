@@ -25,7 +25,7 @@ _MOST_TOLD = 4
 
 
 @dataclass(frozen=True)
-class Axis:
+class PictureAxis:
     """An axis that all panels share.
 
     Attributes:
@@ -146,7 +146,7 @@ class Tiles:
 
 
 @dataclass(frozen=True)
-class Missing:
+class MissingMark:
     """A number of runs without a figure, written above their place."""
 
     series: int
@@ -154,7 +154,7 @@ class Missing:
     count: int
 
 
-Mark = Dots | Line | Ranges | Box | Tiles | Missing
+Mark = Dots | Line | Ranges | Box | Tiles | MissingMark
 
 
 @dataclass(frozen=True)
@@ -182,14 +182,14 @@ class Picture:
         rows: height in lines of text instead of the usual one; 0 for that.
     """
 
-    x: Axis
-    y: Axis
+    x: PictureAxis
+    y: PictureAxis
     panels: tuple[Panel, ...]
     series: tuple[str, ...]
     notes: tuple[str, ...]
     columns: dict[str, list[Any]]
     runs: int
-    colour: Axis | None = None
+    colour: PictureAxis | None = None
     equal: bool = False
     apart: bool = False
     rows: int = 0
@@ -233,7 +233,7 @@ class Picture:
         return replace(self, panels=panels, series=tuple(self.series[number] for number in used))
 
 
-def _settled(axis: Axis, numbers: Iterable[Floats]) -> Axis:
+def _settled(axis: PictureAxis, numbers: Iterable[Floats]) -> PictureAxis:
     if axis.categories:
         return replace(axis, log=False, limits=Limits(0.0, float(len(axis.categories) - 1)))
     drawn = np.concatenate([np.empty(0), *(np.ravel(part) for part in numbers)])
@@ -256,7 +256,7 @@ def _numbers(mark: Mark, side: str, *, seen: bool = False) -> Sequence[Floats]:
         seen: whether only what has a mark of its own is meant, not the ends of bars nor ways between.
     """
     found: list[Floats | None] = []
-    if isinstance(mark, Missing | Box):
+    if isinstance(mark, MissingMark | Box):
         found = [np.array([mark.at])] if side == "x" else [mark.values] if isinstance(mark, Box) else []
     elif isinstance(mark, Dots | Line):
         found = [mark.x if side == "x" else mark.y]
@@ -270,7 +270,7 @@ def _numbers(mark: Mark, side: str, *, seen: bool = False) -> Sequence[Floats]:
     return [part for part in found if part is not None]
 
 
-def _outside(axis: Axis, numbers: Sequence[Floats], *, scale: bool) -> list[str]:
+def _outside(axis: PictureAxis, numbers: Sequence[Floats], *, scale: bool) -> list[str]:
     """Say which numbers lie outside of an axis: each of a few."""
     limits = axis.limits
     assert limits is not None  # noqa: S101 - the caller looked

@@ -14,7 +14,7 @@ from slamhive.analysis.repeating import repeatability
 from slamhive.figures.asking import check_panels, cost_of, error_of, nothing, parted
 from slamhive.figures.counts import Tally
 from slamhive.figures.groups import Series, _runs, counts
-from slamhive.figures.pictures import Axis, Dots, Line, Panel, Picture, Ranges
+from slamhive.figures.pictures import Dots, Line, Panel, Picture, PictureAxis, Ranges
 from slamhive.model.errors import InputError
 from slamhive.model.results import Outcome
 from slamhive.reporting.titles import keys_text
@@ -83,8 +83,8 @@ def scatter(frame: Frame, wish: Wish, beside: Sequence[Published] = ()) -> Pictu
         raise nothing(f"both {x.column} and {y.column}")
     untracked = ["hollow: runs that were not tracked"] if wish.outcomes is Outcomes.ALL else []
     return Picture(
-        x=Axis(x.label, wish.log.of("x"), robust=wish.robust),
-        y=Axis(y.label, wish.log.of("y"), robust=wish.robust),
+        x=PictureAxis(x.label, wish.log.of("x"), robust=wish.robust),
+        y=PictureAxis(y.label, wish.log.of("y"), robust=wish.robust),
         panels=tuple(panel for panel in panels if panel.marks),
         series=(*series.labels, "published"),
         notes=(
@@ -160,8 +160,8 @@ def ecdf(frame: Frame, wish: Wish) -> Picture:
         else []
     )
     return Picture(
-        x=Axis(x.label, log, robust=wish.robust),
-        y=Axis("share of runs", False, ends=(0.0, 1.0)),
+        x=PictureAxis(x.label, log, robust=wish.robust),
+        y=PictureAxis("share of runs", False, ends=(0.0, 1.0)),
         panels=tuple(panel for panel in panels if panel.marks),
         series=series.labels,
         notes=(
@@ -233,8 +233,8 @@ def repetitions(frame: Frame, wish: Wish) -> Picture:
         else []
     )
     return Picture(
-        x=Axis(x.label, wish.log.of("x"), robust=wish.robust),
-        y=Axis("", categories=tuple(reversed(categories))),
+        x=PictureAxis(x.label, wish.log.of("x"), robust=wish.robust),
+        y=PictureAxis("", categories=tuple(reversed(categories))),
         panels=(Panel("", tuple(marks)),),
         series=tuple(kinds),
         notes=(

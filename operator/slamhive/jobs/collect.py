@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Iterator, Sequence
 
-    from slamhive.jobs.known import Known
+    from slamhive.jobs.known import NamesInUse
 
 UID = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}")
 _KEY = re.compile(r"[0-9a-f]{32}")
@@ -163,7 +163,7 @@ def _sweep(data: Path) -> None:
             evict(folder, sys.maxsize)
 
 
-def known_now(options: argparse.Namespace) -> Known:
+def known_now(options: argparse.Namespace) -> NamesInUse:
     """Return the names that are referred to, by the API or by the file that is asked in its place.
 
     Raises:
@@ -247,7 +247,7 @@ def entries_of(folder: Path) -> list[os.DirEntry[str]]:
         return []
 
 
-def _is_known(find: Find, known: Known) -> bool:
+def _is_known(find: Find, known: NamesInUse) -> bool:
     match find.kind:
         case "runs":
             return find.name in known.runs

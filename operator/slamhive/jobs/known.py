@@ -31,7 +31,7 @@ _FORBIDDEN, _EXPIRED = 403, 410
 
 
 @dataclass(frozen=True)
-class Known:
+class NamesInUse:
     """Names of what is in use.
 
     Attributes:
@@ -77,7 +77,7 @@ class Lister(Protocol):
         """
 
 
-def known_to(listing: Lister) -> Known:
+def known_to(listing: Lister) -> NamesInUse:
     """Return all that the objects of a namespace refer to.
 
     Raises:
@@ -94,7 +94,7 @@ def known_to(listing: Lister) -> Known:
     except PermissionError as error:
         raise SystemFault(str(error)) from None
     variants = [entry for item in datasets for entry in (item.get("status") or {}).get("variants") or ()]
-    return Known(
+    return NamesInUse(
         runs=frozenset(uid for folders in runs.values() for uid in folders),
         released=frozenset(uid for uid, folders in runs.items() if not folders),
         datasets=frozenset(str(item["metadata"]["name"]) for item in datasets),
@@ -137,7 +137,7 @@ def _api(kubeconfig: str | None) -> Any:
     return client
 
 
-def known_to_api(namespace: str, kubeconfig: str | None = None) -> Known:
+def known_to_api(namespace: str, kubeconfig: str | None = None) -> NamesInUse:
     """Return all that a namespace and its objects refer to.
 
     Args:
@@ -252,8 +252,8 @@ def all_pages(page: Callable[[str | None], Mapping[str, Any]], plural: str) -> l
     raise SystemFault(f"{plural}: the list grew too old {_TRIES} times before it was read to its end")
 
 
-def known_by_file(path: Path) -> Known:
-    """Read what is known from a JSON file with the names of `Known`.
+def known_by_file(path: Path) -> NamesInUse:
+    """Read what is known from a JSON file with the names of `NamesInUse`.
 
     Raises:
         InputError: it isn't there or is something else.
@@ -262,7 +262,7 @@ def known_by_file(path: Path) -> Known:
         found = json.loads(path.read_text(encoding="utf-8"))
         sets = {name: frozenset(map(str, found[name])) for name in ("runs", "datasets", "variants")}
         assets = found["assets"]
-        return Known(
+        return NamesInUse(
             **sets,
             assets=None if assets is None else frozenset(map(str, assets)),
             released=frozenset(map(str, found.get("released", ()))),

@@ -70,7 +70,7 @@ def _files(results: Path, uid: str) -> tuple[list[str], list[tuple[str, str]]]:
 def _described(results: Path, uid: str, path: str) -> StoredFile:
     """Return a file's size and checksum, read once."""
     with opened(results, f"{folder_of(uid)}/{path}", _MOST_BYTES) as descriptor:
-        reading = _Reading(descriptor, path)
+        reading = _FileReading(descriptor, path)
         for _ in reading.pieces():
             pass
         return reading.file()
@@ -80,7 +80,7 @@ def _copied(results: Path, uid: str, path: str, store: ObjectStorage) -> StoredF
     # Where the object is named by the sum, that has to be known first.
     before = _described(results, uid, path) if StoredFile.needs_sum(path) else None
     with opened(results, f"{folder_of(uid)}/{path}", _MOST_BYTES) as descriptor:
-        reading = _Reading(descriptor, path)
+        reading = _FileReading(descriptor, path)
         store.write(f"{folder_of(uid)}/{before.object if before else path}", reading.pieces())
         file = reading.file()
     if before is not None and before != file:
@@ -88,7 +88,7 @@ def _copied(results: Path, uid: str, path: str, store: ObjectStorage) -> StoredF
     return file
 
 
-class _Reading:
+class _FileReading:
     """A file that is read once, and what it was then.
 
     Args:

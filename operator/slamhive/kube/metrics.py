@@ -61,7 +61,7 @@ class Metrics:
         disable_created_metrics()  # type: ignore[no-untyped-call]  # they double the series for nothing
         self.registry = CollectorRegistry()
         self.live = _Live(run_name_label=run_name_label)
-        self._state = _State()
+        self._state = _OperatorState()
         self.registry.register(self.live)
         self.registry.register(self._state)
         ProcessCollector(registry=self.registry)
@@ -186,7 +186,7 @@ class _Live(Collector):
         yield _family("slamhive_run_memory_bytes", "Working set of a run's algorithm.", names, memory)
 
 
-class _State(Collector):
+class _OperatorState(Collector):
     """The operator's state at the moment of the scrape."""
 
     queue: Queue | None = None

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamhive.analysis import Metric, Outcomes
-    from slamhive.analysis.comparing import Comparison, Pair
+    from slamhive.analysis.comparing import BoardComparison, CompetitorPair
     from slamhive.analysis.frame import Frame
     from slamhive.analysis.leaderboard import Board, Entry, Standing
     from slamhive.analysis.pareto import Front, Spot
@@ -149,7 +149,7 @@ def comparison_section(
     return joined(parts), notes
 
 
-def _pairs_sheet(board: Comparison, number: int) -> Sheet:
+def _pairs_sheet(board: BoardComparison, number: int) -> Sheet:
     word = board.pairs[0].word
     headings = [("A", False), ("B", False), ("datasets", True), (f"A {word}", True), (f"B {word}", True)]
     headings += [("B / A", True), ("95 %", True), ("effect", True), ("p (Holm)", True)]
@@ -179,12 +179,12 @@ def _pairs_sheet(board: Comparison, number: int) -> Sheet:
     return Sheet(f"comparison-{number}", caption, headings, lines, as_columns(rows))
 
 
-def _verdict(pair: Pair) -> str:
+def _verdict(pair: CompetitorPair) -> str:
     sentence = pair.sentence
     return sentence.partition(": ")[2] or sentence
 
 
-def _pair_row(board: Comparison, pair: Pair) -> dict[str, Any]:
+def _pair_row(board: BoardComparison, pair: CompetitorPair) -> dict[str, Any]:
     return {
         **board.facets,
         **{f"a.{name}": value for name, value in pair.a.items()},

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from testcluster.lab import Lab
 
-    from slamhive.kube.user.connecting import Cluster
+    from slamhive.kube.user.connecting import ConnectedCluster
     from slamhive.kube.user.run_files import Filing, WantedRun
     from slamhive.local.home.folder import Home
 
@@ -50,7 +50,7 @@ def executor(home: Home, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[.
             monkeypatch.setenv("KUBECONFIG", str(lab.cluster.kubeconfig))
 
             @asynccontextmanager
-            async def connect() -> AsyncIterator[Cluster]:
+            async def connect() -> AsyncIterator[ConnectedCluster]:
                 async with connected(find_target(None, lab.namespace)) as found:
                     yield found
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from slamhive.archive import Archive
     from slamhive.cli.cluster.work import ClusterPlace
-    from slamhive.kube.user.connecting import Cluster
+    from slamhive.kube.user.connecting import ConnectedCluster
 
 _SHOWN = 10
 
@@ -78,7 +78,7 @@ def fetch(names: Sequence[str], place: ClusterPlace, *, files: bool) -> None:
         raise typer.Exit(FAILED)
 
 
-async def fetch_into(archive: Archive, cluster: Cluster, names: Sequence[str]) -> Copied:
+async def fetch_into(archive: Archive, cluster: ConnectedCluster, names: Sequence[str]) -> Copied:
     """Copy finished runs of Sweeps and runs into an archive, and show how far that is."""
     objects = await find(cluster, names, (Kind.SWEEP, Kind.MAPPING_RUN))
     catalog = await read_catalog(cluster)
@@ -95,7 +95,9 @@ async def fetch_into(archive: Archive, cluster: Cluster, names: Sequence[str]) -
     return copied
 
 
-async def _fetch_files(home: Home, archive: Archive, cluster: Cluster, wanted: Sequence[WantedRun]) -> Filed:
+async def _fetch_files(
+    home: Home, archive: Archive, cluster: ConnectedCluster, wanted: Sequence[WantedRun]
+) -> Filed:
     """Fetch the files of runs that have none here.
 
     Raises:

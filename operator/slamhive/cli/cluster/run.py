@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from slamhive.kube.user.connecting import Cluster
+    from slamhive.kube.user.connecting import ConnectedCluster
     from slamhive.kube.user.fetching import Fetched
     from slamhive.kube.user.manifests import Manifest
     from slamhive.model.results import RunRecord
@@ -151,7 +151,7 @@ async def _work(submission: Submission, home: Home, submitted: list[_AwaitedObje
             return (await fetch_into(archive, cluster, names)).fetched
 
 
-async def _wait(cluster: Cluster, items: Sequence[_AwaitedObject]) -> None:
+async def _wait(cluster: ConnectedCluster, items: Sequence[_AwaitedObject]) -> None:
     """Wait for the end of all objects, and show how far they are."""
     columns = (
         *(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()),
@@ -183,7 +183,7 @@ def _shows() -> bool:
     return err.is_terminal and not speaks_json()
 
 
-async def _look(cluster: Cluster, item: _AwaitedObject, now: float) -> None:
+async def _look(cluster: ConnectedCluster, item: _AwaitedObject, now: float) -> None:
     """See what has become of an object; faults that pass leave it as it was."""
     try:
         item.body = await cluster.api.get(item.key)
@@ -200,7 +200,7 @@ async def _look(cluster: Cluster, item: _AwaitedObject, now: float) -> None:
             raise
 
 
-async def _tell_runs(cluster: Cluster, item: _AwaitedObject, body: Object, now: float) -> None:
+async def _tell_runs(cluster: ConnectedCluster, item: _AwaitedObject, body: Object, now: float) -> None:
     """Print a line of each run that has ended since the last look."""
     found = status_of(body)
     done = found.get("succeeded", 0) + found.get("failed", 0)

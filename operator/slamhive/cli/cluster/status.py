@@ -35,7 +35,7 @@ from slamhive.model.errors import SlamHiveError, UnknownNameError
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Mapping, Sequence
 
-    from slamhive.kube.user.connecting import Cluster
+    from slamhive.kube.user.connecting import ConnectedCluster
 
     Object = Mapping[str, Any]
 
@@ -57,7 +57,7 @@ _WIDEST = 10_000
 
 
 def render(
-    cluster: Cluster, picture: NamespacePicture, most: int | None = _RUNS, width: int | None = None
+    cluster: ConnectedCluster, picture: NamespacePicture, most: int | None = _RUNS, width: int | None = None
 ) -> RenderableType:
     """Return tables of what there is, with sentences about what is wrong.
 
@@ -306,11 +306,15 @@ def status(names: Sequence[str], place: ClusterPlace, *, watch: bool, as_json: b
         raise typer.Exit from None
 
 
-async def _look(cluster: Cluster, names: Sequence[str], before: NamespacePicture | None) -> NamespacePicture:
+async def _look(
+    cluster: ConnectedCluster, names: Sequence[str], before: NamespacePicture | None
+) -> NamespacePicture:
     return await look_at(cluster, names, before) if names else await look_around(cluster)
 
 
-async def _next(cluster: Cluster, names: Sequence[str], before: NamespacePicture) -> NamespacePicture:
+async def _next(
+    cluster: ConnectedCluster, names: Sequence[str], before: NamespacePicture
+) -> NamespacePicture:
     """Look again after a while; faults that pass leave the picture as it was."""
     await asyncio.sleep(LOOK_SECONDS)
     try:
@@ -323,14 +327,16 @@ async def _next(cluster: Cluster, names: Sequence[str], before: NamespacePicture
         return before
 
 
-async def _live(cluster: Cluster, names: Sequence[str], picture: NamespacePicture) -> None:
+async def _live(cluster: ConnectedCluster, names: Sequence[str], picture: NamespacePicture) -> None:
     with Live(render(cluster, picture, width=out.width), console=out, auto_refresh=False) as live:
         while not (names and picture.is_over):
             picture = await _next(cluster, names, picture)
             live.update(render(cluster, picture, width=out.width), refresh=True)
 
 
-async def _lines(cluster: Cluster, names: Sequence[str], picture: NamespacePicture, *, as_json: bool) -> None:
+async def _lines(
+    cluster: ConnectedCluster, names: Sequence[str], picture: NamespacePicture, *, as_json: bool
+) -> None:
     """Print a line of what changes where no terminal can show it in place."""
     shown: dict[str, str] = {}
     while True:
@@ -359,7 +365,7 @@ def _line(kind: Kind, body: Object) -> str:
     return "; ".join([f"{name}: {text}", *(sentence.splitlines()[0] for sentence in bad)])
 
 
-def _print(cluster: Cluster, picture: NamespacePicture, *, as_json: bool, named: bool) -> None:
+def _print(cluster: ConnectedCluster, picture: NamespacePicture, *, as_json: bool, named: bool) -> None:
     if as_json:
         typer.echo(json.dumps(as_plain(picture), indent=2, ensure_ascii=False))
         return

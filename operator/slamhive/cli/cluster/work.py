@@ -17,7 +17,7 @@ from slamhive.cli.parts.exits import INTERRUPTED
 from slamhive.cli.parts.planning import planned, sweeps_of
 from slamhive.kube.api.kinds import Kind
 from slamhive.kube.user import cancelling
-from slamhive.kube.user.connecting import Cluster, connected, find_target
+from slamhive.kube.user.connecting import ConnectedCluster, connected, find_target
 from slamhive.kube.user.logs import LogPart, read_log
 from slamhive.kube.user.manifests import STDIN, Manifest, common_namespace, read_manifests
 from slamhive.kube.user.submitting import (
@@ -65,7 +65,7 @@ class ClusterPlace:
         return context + (f" -n {self.namespace}" if self.namespace else "")
 
     @asynccontextmanager
-    async def connect(self) -> AsyncIterator[Cluster]:
+    async def connect(self) -> AsyncIterator[ConnectedCluster]:
         """Be connected to the cluster."""
         async with connected(find_target(self.context, self.namespace)) as cluster:
             yield cluster
@@ -159,7 +159,7 @@ def read(files: Sequence[Path], place: ClusterPlace) -> Submission:
 
 
 async def submit_to(
-    cluster: Cluster, submission: Submission, *, with_catalog: bool, dry_run: bool = False
+    cluster: ConnectedCluster, submission: Submission, *, with_catalog: bool, dry_run: bool = False
 ) -> list[Sent]:
     """Check manifests against the catalogs here and there, and send them.
 

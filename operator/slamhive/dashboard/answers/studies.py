@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection
     from pathlib import Path
 
-    from slamhive.analysis.comparing import Pair
+    from slamhive.analysis.comparing import CompetitorPair
     from slamhive.analysis.importance import Influences
     from slamhive.analysis.pareto import Spot
     from slamhive.analysis.repeating import Repetitions
@@ -69,7 +69,7 @@ def compared(
     )
 
 
-def _pair_json(pair: Pair) -> dict[str, Any]:
+def _pair_json(pair: CompetitorPair) -> dict[str, Any]:
     return {
         "a": pair.a,
         "b": pair.b,
@@ -89,7 +89,7 @@ def _pair_json(pair: Pair) -> dict[str, Any]:
     }
 
 
-def _pair_row(facets: dict[str, Any], pair: Pair) -> dict[str, Any]:
+def _pair_row(facets: dict[str, Any], pair: CompetitorPair) -> dict[str, Any]:
     return {
         **facets,
         **{f"a.{name}": value for name, value in pair.a.items()},

@@ -14,7 +14,7 @@ from slamhive.tables.queries import SUPERSEDED, number_column, outcomes, select
 from slamhive.tables.text import as_columns
 
 if TYPE_CHECKING:
-    from slamhive.analysis.versions import Change, Setting, Side, Version
+    from slamhive.analysis.versions import Change, Side, Version, VersionSetting
     from slamhive.dashboard.sources.archived import Snapshot
     from slamhive.tables.queries import Pairs
 
@@ -82,7 +82,7 @@ def _version_json(version: Version) -> dict[str, Any]:
     }
 
 
-def _setting_json(setting: Setting) -> dict[str, Any]:
+def _setting_json(setting: VersionSetting) -> dict[str, Any]:
     return {
         "keys": setting.keys,
         "before": _side_json(setting.before),

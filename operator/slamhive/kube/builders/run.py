@@ -122,7 +122,7 @@ def configuration(
 
 
 @dataclass(frozen=True)
-class _Plan:
+class _AttemptInputs:
     """Inputs for an attempt's Job: run, algorithm, configuration, variant, number and companion."""
 
     run: Mapping[str, Any]
@@ -168,7 +168,7 @@ def run_job(
         InputError: a sentence about what makes it impossible, such as an Algorithm without an image.
     """
     variant = VariantDescription.model_validate(dict(description))
-    plan = _Plan(run, spec, algorithm.spec, configuration, variant, attempt, companion)
+    plan = _AttemptInputs(run, spec, algorithm.spec, configuration, variant, attempt, companion)
     metadata = run["metadata"]
     pod = pod_spec(settings) | {
         # By this the monitor sees the algorithm's processes.
@@ -195,7 +195,7 @@ def run_job(
     )
 
 
-def _labels(plan: _Plan) -> dict[str, str]:
+def _labels(plan: _AttemptInputs) -> dict[str, str]:
     metadata = plan.run["metadata"]
     given = metadata.get("labels") or {}
     kept = {label(word): given[label(word)] for word in ("sweep", "point", "slot") if label(word) in given}
@@ -208,7 +208,7 @@ def _labels(plan: _Plan) -> dict[str, str]:
     }
 
 
-def _algorithm(plan: _Plan, settings: Settings) -> Manifest:
+def _algorithm(plan: _AttemptInputs, settings: Settings) -> Manifest:
     spec, algorithm, companion = plan.spec, plan.algorithm, plan.companion
     if algorithm.image is None:
         raise InputError(f"algorithm {spec['algorithmRef']['name']!r} has no image, so it runs on no cluster")
@@ -255,7 +255,7 @@ def _assets(algorithm: AlgorithmSpec) -> list[Manifest]:
     ]
 
 
-def _settings_files(plan: _Plan) -> list[Manifest]:
+def _settings_files(plan: _AttemptInputs) -> list[Manifest]:
     """Return the mount of the files that were rendered for the algorithm."""
     if not plan.algorithm.files:
         return []
@@ -263,7 +263,7 @@ def _settings_files(plan: _Plan) -> list[Manifest]:
     return [mount("results", f"{_RUN}/{SETTINGS_FOLDER}", read_only=True, subPathExpr=place)]
 
 
-def _render(plan: _Plan, settings: Settings) -> list[Manifest]:
+def _render(plan: _AttemptInputs, settings: Settings) -> list[Manifest]:
     """Return the container that renders the algorithm's settings files before all others start."""
     if not plan.algorithm.files:
         return []
@@ -287,18 +287,18 @@ def _render(plan: _Plan, settings: Settings) -> list[Manifest]:
     return [body]
 
 
-def _render_request(plan: _Plan) -> dict[str, str]:
+def _render_request(plan: _AttemptInputs) -> dict[str, str]:
     if not plan.algorithm.files:
         return {}
     request = RenderRequest(files=plan.algorithm.files, run=_RUN)
     return {label(RENDER): request_text(request.as_json())}
 
 
-def _render_volumes(plan: _Plan) -> list[Manifest]:
+def _render_volumes(plan: _AttemptInputs) -> list[Manifest]:
     return [downward(RENDER, label(RENDER), "request.json")] if plan.algorithm.files else []
 
 
-def _monitor(plan: _Plan, settings: Settings) -> Manifest:
+def _monitor(plan: _AttemptInputs, settings: Settings) -> Manifest:
     told = {
         "container": ALGORITHM,
         "runDirectory": "/slamhive-run",

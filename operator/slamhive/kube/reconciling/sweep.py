@@ -28,7 +28,7 @@ from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.reconciling.evaluation_groups import SWEEP_PREFIX
 from slamhive.kube.reconciling.sweep_runs import (
     Finished,
-    Tally,
+    SweepTally,
     decode_points,
     encode_points,
     free_slot,
@@ -61,7 +61,7 @@ _BATCHES_WAITING = 2
 
 
 @dataclass(frozen=True)
-class _Picture:
+class _SweepPicture:
     """A Sweep as it is seen now.
 
     Attributes:
@@ -78,7 +78,7 @@ class _Picture:
     sweep: Sweep
     memory: SweepMemory
     runs: dict[int, Object]
-    tally: Tally
+    tally: SweepTally
 
     @property
     def settled(self) -> list[Object]:
@@ -196,7 +196,7 @@ class SweepReconciler:
 
     async def _take_picture(
         self, cluster: Cluster, key: Key, body: Object, sweep: Sweep, memory: SweepMemory
-    ) -> _Picture:
+    ) -> _SweepPicture:
         runs = {}
         for run in _own(cluster, key, body["metadata"]["uid"]):
             index = point_of(run)
@@ -218,7 +218,7 @@ class SweepReconciler:
                     memory.finished[index] = Finished.of(run)
         tally = replace(memory.archived)
         tally.add(*memory.finished.values())
-        return _Picture(key, body, sweep, memory, runs, tally)
+        return _SweepPicture(key, body, sweep, memory, runs, tally)
 
     @staticmethod
     async def _look_for_missing(
@@ -238,7 +238,7 @@ class SweepReconciler:
                     memory.states[index] = PointState.FAILED
             index = memory.states.find(PointState.ACTIVE, index + 1)
 
-    async def _drive_window(self, cluster: Cluster, seen: _Picture, now: float) -> float | None:
+    async def _drive_window(self, cluster: Cluster, seen: _SweepPicture, now: float) -> float | None:
         """Start or stop what is due, write what changed, and archive what is done."""
         memory, sweep = seen.memory, seen.sweep
         observed = SweepObserved(
@@ -277,13 +277,13 @@ class SweepReconciler:
                 delays.append(_LOOK_SECONDS)
         return min(delays, default=None)
 
-    def _is_held_back(self, seen: _Picture, window: int) -> bool:
+    def _is_held_back(self, seen: _SweepPicture, window: int) -> bool:
         """Tell whether finished runs wait for an archive that is away: more would fill the cluster."""
         if seen.body["metadata"]["uid"] not in self._archive_away:
             return False
         return len(seen.settled) >= seen.sweep.spec.retention.runs + window
 
-    def _backlog(self, cluster: Cluster, seen: _Picture, window: int) -> str | None:
+    def _backlog(self, cluster: Cluster, seen: _SweepPicture, window: int) -> str | None:
         """Return the reason to start nothing more now: runs end faster than they are measured and archived.
 
         Without this their objects would fill the cluster, however small the window is.
@@ -298,7 +298,7 @@ class SweepReconciler:
         return f"{ended} runs that have ended, {kept} of them to keep, wait to be measured and archived"
 
     async def _start(
-        self, cluster: Cluster, seen: _Picture, indices: tuple[int, ...], now: float
+        self, cluster: Cluster, seen: _SweepPicture, indices: tuple[int, ...], now: float
     ) -> str | None:
         """Create the runs of points; returns why some could not be."""
         if self._archive is not None:
@@ -316,7 +316,7 @@ class SweepReconciler:
         return next((problem for problem in told if problem), None)
 
     @staticmethod
-    async def _create(cluster: Cluster, seen: _Picture, index: int, slot: int) -> str | None:
+    async def _create(cluster: Cluster, seen: _SweepPicture, index: int, slot: int) -> str | None:
         plan = seen.memory.plan
         twin = plan.twins.get(index)
         body = run_body(seen.body, plan.point(index), slot, None if twin is None else plan.point(twin).name)
@@ -344,7 +344,7 @@ class SweepReconciler:
                 await cluster.patch(key_of(Kind.MAPPING_RUN, run), {"spec": {"cancel": True}})
 
     async def _write_status(
-        self, cluster: Cluster, seen: _Picture, decision: SweepDecision, blocked: str | None, now: float
+        self, cluster: Cluster, seen: _SweepPicture, decision: SweepDecision, blocked: str | None, now: float
     ) -> list[float]:
         """Write the status if it changed and the last write is long enough ago; returns when to come back."""
         body, memory = seen.body, seen.memory
@@ -412,7 +412,7 @@ def _is_of(run: Object, uid: str) -> bool:
     return uid in owner_uids(run) and not run["metadata"].get("deletionTimestamp")
 
 
-def _is_outdated(seen: _Picture) -> bool:
+def _is_outdated(seen: _SweepPicture) -> bool:
     """Tell whether another operator wrote of ends that were never seen here, of runs that are archived."""
     memory, text = seen.memory, seen.body["status"].get("points")
     if text is None or text == memory.points:
@@ -425,7 +425,7 @@ def _is_outdated(seen: _Picture) -> bool:
     )
 
 
-async def _insist_on_newest(cluster: Cluster, seen: _Picture) -> None:
+async def _insist_on_newest(cluster: Cluster, seen: _SweepPicture) -> None:
     """Make sure that no other operator has done points of which nothing is known here yet.
 
     An archived run's name is free again: only the Sweep's status says that its point is done.
@@ -444,7 +444,7 @@ def _budget_left(sweep: Sweep, memory: SweepMemory, now: float) -> float:
     return min(max(end - now, _LOOK_SECONDS), 60.0)
 
 
-def _figures(memory: SweepMemory, tally: Tally) -> SweepStatus:
+def _figures(memory: SweepMemory, tally: SweepTally) -> SweepStatus:
     counts = {state: memory.states.count(state) for state in PointState}
     total = len(memory.states)
     done = counts[PointState.SUCCEEDED] + counts[PointState.FAILED]
@@ -467,7 +467,7 @@ def _figures(memory: SweepMemory, tally: Tally) -> SweepStatus:
 
 
 def _standing(
-    cluster: Cluster, seen: _Picture, decision: SweepDecision, settled: bool, blocked: str | None
+    cluster: Cluster, seen: _SweepPicture, decision: SweepDecision, settled: bool, blocked: str | None
 ) -> tuple[str, list[Object]]:
     """Return the standing of a Sweep: its phase, for printing, and its conditions."""
     verdict = decision.verdict

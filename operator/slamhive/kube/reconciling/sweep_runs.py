@@ -144,7 +144,7 @@ class Finished(NamedTuple):
 
 
 @dataclass
-class Tally:
+class SweepTally:
     """Figures over a Sweep's finished runs.
 
     Attributes:

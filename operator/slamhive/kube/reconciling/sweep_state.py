@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from slamhive.archive import SweepRecord
 from slamhive.engine import PointState
 from slamhive.kube.reconciling.archiving import in_thread
-from slamhive.kube.reconciling.sweep_runs import Finished, Tally, decode_points
+from slamhive.kube.reconciling.sweep_runs import Finished, SweepTally, decode_points
 from slamhive.kube.status import moment
 from slamhive.model.errors import InputError
 from slamhive.model.results import Phase
@@ -56,7 +56,7 @@ class SweepMemory:
     order: Sequence[int]
     states: bytearray
     selected: list[AxisSelection]
-    archived: Tally
+    archived: SweepTally
     remarks: str = ""
     started_at: float | None = None
     cursor: int = 0
@@ -132,7 +132,7 @@ async def remember(
     # In a thread: a plan of tens of thousands of points takes long enough for probes and watches to suffer.
     plan, order, remarks = await asyncio.to_thread(lay_out)
     states = decode_points(status.points, len(plan))
-    archived = Tally(best=status.best)
+    archived = SweepTally(best=status.best)
     if archive is not None:
         await in_thread(_recall, sweep, archive, live, states, archived, cluster)
     return SweepMemory(
@@ -152,7 +152,7 @@ def _recall(  # noqa: PLR0917 - called in a thread
     archive: Archive,
     live: dict[str, PointState],
     states: bytearray,
-    archived: Tally,
+    archived: SweepTally,
     cluster: str | None = None,
 ) -> None:
     """Take from the archive what became of the runs whose objects are gone."""

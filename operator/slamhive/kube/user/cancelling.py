@@ -16,7 +16,7 @@ from slamhive.model.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from slamhive.kube.user.connecting import Cluster
+    from slamhive.kube.user.connecting import ConnectedCluster
 
 
 _AT_ONCE = 16
@@ -24,7 +24,7 @@ _PATIENCE_SECONDS = 10.0
 _PAUSE_SECONDS = 0.5
 
 
-async def cancel(cluster: Cluster, names: Sequence[str]) -> list[str]:
+async def cancel(cluster: ConnectedCluster, names: Sequence[str]) -> list[str]:
     """End Sweeps and runs; returns a sentence about each.
 
     A Sweep is suspended, so that it starts nothing more, and its runs in flight are cancelled.
@@ -44,7 +44,7 @@ async def cancel(cluster: Cluster, names: Sequence[str]) -> list[str]:
     return sentences
 
 
-async def delete(cluster: Cluster, names: Sequence[str]) -> list[str]:
+async def delete(cluster: ConnectedCluster, names: Sequence[str]) -> list[str]:
     """Delete Sweeps, runs and Evaluations with all that belongs to them; returns a sentence about each.
 
     Raises:
@@ -62,7 +62,7 @@ async def delete(cluster: Cluster, names: Sequence[str]) -> list[str]:
     return sentences
 
 
-async def _cancel_single(cluster: Cluster, run: Object) -> str:
+async def _cancel_single(cluster: ConnectedCluster, run: Object) -> str:
     name = name_of(run)
     phase = phase_of(status_of(run))
     if phase.is_finished:
@@ -73,7 +73,7 @@ async def _cancel_single(cluster: Cluster, run: Object) -> str:
     return f"MappingRun {name}: cancelled; its pod ends within its grace time"
 
 
-async def _cancel_sweep(cluster: Cluster, sweep: Object) -> str:
+async def _cancel_sweep(cluster: ConnectedCluster, sweep: Object) -> str:
     key = cluster.key(Kind.SWEEP, name_of(sweep))
     if is_over(Kind.SWEEP, sweep):
         return f"Sweep {key.name}: {status_of(sweep).get('phase')} already, nothing of it runs"
@@ -98,7 +98,7 @@ async def _cancel_sweep(cluster: Cluster, sweep: Object) -> str:
     return text
 
 
-async def _has_noticed(cluster: Cluster, key: Key) -> bool:
+async def _has_noticed(cluster: ConnectedCluster, key: Key) -> bool:
     """Tell whether the operator knows that a Sweep is suspended."""
     body = await cluster.api.get(key)
     status = status_of(body)
@@ -106,7 +106,7 @@ async def _has_noticed(cluster: Cluster, key: Key) -> bool:
     return current and (holds(status, "Suspended") is True or is_over(Kind.SWEEP, body))
 
 
-async def _cancel_runs(cluster: Cluster, sweep: Object) -> set[str]:
+async def _cancel_runs(cluster: ConnectedCluster, sweep: Object) -> set[str]:
     """Cancel a Sweep's runs in flight, and return the names of those that were not cancelled before."""
     going = [
         name_of(run)

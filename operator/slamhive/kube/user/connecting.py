@@ -46,7 +46,7 @@ class Target:
 
 
 @dataclass(frozen=True)
-class Cluster:
+class ConnectedCluster:
     """A cluster that answers and knows our kinds.
 
     Attributes:
@@ -94,7 +94,7 @@ def find_target(context: str | None, namespace: str | None) -> Target:
 
 
 @asynccontextmanager
-async def connected(target: Target) -> AsyncIterator[Cluster]:
+async def connected(target: Target) -> AsyncIterator[ConnectedCluster]:
     """Be connected to a cluster that has our kinds.
 
     Raises:
@@ -103,7 +103,7 @@ async def connected(target: Target) -> AsyncIterator[Cluster]:
     api = await UserApi.connect(target.kubeconfig, target.context)
     try:
         await _check(api, target)
-        yield Cluster(api, target)
+        yield ConnectedCluster(api, target)
     finally:
         await api.close()
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from slamhive.archive import Archive
-    from slamhive.kube.user.connecting import Cluster
+    from slamhive.kube.user.connecting import ConnectedCluster
     from slamhive.kube.user.run_files import RunFolder
     from slamhive.kube.user.submitting import ClusterCatalog
     from slamhive.model.dataset import Dataset
@@ -65,7 +65,11 @@ class Fetcher:
     """
 
     def __init__(
-        self, cluster: Cluster, catalog: ClusterCatalog, archive: Archive, step: Callable[[int, int], None]
+        self,
+        cluster: ConnectedCluster,
+        catalog: ClusterCatalog,
+        archive: Archive,
+        step: Callable[[int, int], None],
     ) -> None:
         self._cluster = cluster
         self._catalog = catalog

@@ -19,7 +19,7 @@ from slamhive.model.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, Mapping
 
-    from slamhive.kube.user.connecting import Cluster
+    from slamhive.kube.user.connecting import ConnectedCluster
 
 
 _PAUSE_SECONDS = 1.0
@@ -51,7 +51,7 @@ class _Seen:
 
 
 async def read_log(
-    cluster: Cluster, name: str, container: str, *, follow: bool = False, tail: int | None = None
+    cluster: ConnectedCluster, name: str, container: str, *, follow: bool = False, tail: int | None = None
 ) -> AsyncGenerator[tuple[LogPart, str], None]:
     """Yield the lines of a run's log, and remarks about where they come from.
 
@@ -98,7 +98,7 @@ class _LogReader:
     """Reads a container's log, and knows how far."""
 
     def __init__(
-        self, cluster: Cluster, name: str, container: str, *, follow: bool, tail: int | None
+        self, cluster: ConnectedCluster, name: str, container: str, *, follow: bool, tail: int | None
     ) -> None:
         self._cluster = cluster
         self._name = name

@@ -20,7 +20,7 @@ from slamhive.model.errors import UnknownNameError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from slamhive.kube.user.connecting import Cluster
+    from slamhive.kube.user.connecting import ConnectedCluster
 
 
 SEEN = (Kind.SWEEP, Kind.MAPPING_RUN, Kind.EVALUATION)
@@ -74,7 +74,7 @@ class NamespacePicture:
         return all(is_over(kind, body) for kind, body in self.objects)
 
 
-async def look_around(cluster: Cluster) -> NamespacePicture:
+async def look_around(cluster: ConnectedCluster) -> NamespacePicture:
     """Return the picture of all that is in the namespace."""
     lists = await together(
         (
@@ -88,7 +88,7 @@ async def look_around(cluster: Cluster) -> NamespacePicture:
 
 
 async def look_at(
-    cluster: Cluster, names: Sequence[str], before: NamespacePicture | None = None
+    cluster: ConnectedCluster, names: Sequence[str], before: NamespacePicture | None = None
 ) -> NamespacePicture:
     """Return the picture of all of some names, with the failed runs of Sweeps.
 
@@ -118,7 +118,7 @@ async def look_at(
 
 
 async def find(
-    cluster: Cluster, names: Sequence[str], kinds: Sequence[Kind] = SEEN
+    cluster: ConnectedCluster, names: Sequence[str], kinds: Sequence[Kind] = SEEN
 ) -> list[tuple[Kind, Object]]:
     """Return the objects of some names; one name may be that of several kinds.
 
@@ -138,7 +138,7 @@ async def find(
     return found
 
 
-async def runs_of(cluster: Cluster, sweep: Mapping[str, Any]) -> list[Object]:
+async def runs_of(cluster: ConnectedCluster, sweep: Mapping[str, Any]) -> list[Object]:
     """Return the MappingRuns of a Sweep that the cluster holds, by point."""
     selector = f"{Label.SWEEP}={label_value(name_of(sweep))}"
     runs, _ = await cluster.api.list(Kind.MAPPING_RUN, cluster.namespace, labels=selector)
@@ -222,7 +222,7 @@ def owner_uid(run: Mapping[str, Any]) -> str | None:
     return next((owner["uid"] for owner in owners if owner["kind"] == Kind.SWEEP), None)
 
 
-async def _get(cluster: Cluster, kind: Kind, name: str) -> Object | None:
+async def _get(cluster: ConnectedCluster, kind: Kind, name: str) -> Object | None:
     try:
         return await cluster.api.get(cluster.key(kind, name))
     except NotFound:

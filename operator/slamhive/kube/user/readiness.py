@@ -18,7 +18,7 @@ from slamhive.model.readiness import ReadinessRow, State, limited, missing, ther
 if TYPE_CHECKING:
     from slamhive.kube.api.kinds import Object
     from slamhive.kube.user.api import UserApi
-    from slamhive.kube.user.connecting import Cluster
+    from slamhive.kube.user.connecting import ConnectedCluster
 
 PATIENCE_SECONDS = 4.0
 _HERE = "sweeps run on this machine alone"
@@ -64,11 +64,11 @@ async def look(context: str | None = None, namespace: str | None = None) -> list
         ]
 
 
-async def _version(cluster: Cluster, named: str) -> ReadinessRow:
+async def _version(cluster: ConnectedCluster, named: str) -> ReadinessRow:
     return there("cluster", f"{named}, Kubernetes {await cluster.api.server_version()}, with our CRDs")
 
 
-async def _operator(cluster: Cluster) -> ReadinessRow:
+async def _operator(cluster: ConnectedCluster) -> ReadinessRow:
     check, where = "operator", cluster.namespace
     path = f"/apis/apps/v1/namespaces/{where}/deployments"
     query = {"labelSelector": _OPERATOR}
@@ -95,7 +95,7 @@ async def _operator(cluster: Cluster) -> ReadinessRow:
     return there(check, told)
 
 
-async def _figures(cluster: Cluster) -> ReadinessRow:
+async def _figures(cluster: ConnectedCluster) -> ReadinessRow:
     check = "metrics API"
     try:
         await cluster.api.pod_metrics(cluster.namespace)
@@ -107,7 +107,7 @@ async def _figures(cluster: Cluster) -> ReadinessRow:
     return there(check, "it answers")
 
 
-async def _rights(cluster: Cluster) -> ReadinessRow:
+async def _rights(cluster: ConnectedCluster) -> ReadinessRow:
     may = await together(_may(cluster, verb, resource) for verb, resource, _ in _RIGHTS)
     lacking = [right for right, allowed in zip(_RIGHTS, may, strict=True) if allowed is False]
     if None in may:
@@ -120,7 +120,7 @@ async def _rights(cluster: Cluster) -> ReadinessRow:
     return limited("rights", f"this user may not {words}", costs, helps)
 
 
-async def _may(cluster: Cluster, verb: str, resource: str) -> bool | None:
+async def _may(cluster: ConnectedCluster, verb: str, resource: str) -> bool | None:
     """Tell whether the user has a right; None where the cluster doesn't tell."""
     named, _, subresource = resource.partition("/")
     plural, _, group = named.partition(".")

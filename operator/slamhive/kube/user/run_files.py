@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from slamhive.kube.user.api import PodSession
-    from slamhive.kube.user.connecting import Cluster
+    from slamhive.kube.user.connecting import ConnectedCluster
     from slamhive.kube.user.sending import SenderPod
 
 LOG = "log.txt"
@@ -237,7 +237,7 @@ class Filing:
 
     def __init__(
         self,
-        cluster: Cluster,
+        cluster: ConnectedCluster,
         place: Path,
         *,
         keep: Callable[[WantedRun, RunFolder], None],

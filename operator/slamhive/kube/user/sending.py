@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
 
     from slamhive.kube.user.api import PodSession
-    from slamhive.kube.user.connecting import Cluster
+    from slamhive.kube.user.connecting import ConnectedCluster
 
 
 _LOOK_SECONDS = 0.5
@@ -50,7 +50,7 @@ class SenderPod:
         name: its name.
     """
 
-    cluster: Cluster
+    cluster: ConnectedCluster
     name: str
     store: StoreReference | None = None
 
@@ -71,7 +71,7 @@ class SenderPod:
 
 @asynccontextmanager
 async def sender(
-    cluster: Cluster, runs: Sequence[Mapping[str, Any]], tell: Callable[[str], None]
+    cluster: ConnectedCluster, runs: Sequence[Mapping[str, Any]], tell: Callable[[str], None]
 ) -> AsyncIterator[SenderPod]:
     """Have a pod that hands out files; it goes with the context.
 
@@ -108,7 +108,7 @@ def _explained() -> Iterator[None]:
         raise ClusterError(f"{error}; {_RIGHTS}") from None
 
 
-async def _like(cluster: Cluster, runs: Iterable[Mapping[str, Any]]) -> Object:
+async def _like(cluster: ConnectedCluster, runs: Iterable[Mapping[str, Any]]) -> Object:
     """Return the spec of a pod that the operator or its chart made in this namespace."""
     # The last ones first: their Jobs are the likeliest to be there still.
     tried = [run for run in runs if status_of(run).get("attempts")][-_TRIED:]
@@ -128,7 +128,7 @@ async def _like(cluster: Cluster, runs: Iterable[Mapping[str, Any]]) -> Object:
     )
 
 
-async def _store(cluster: Cluster) -> StoreReference | None:
+async def _store(cluster: ConnectedCluster) -> StoreReference | None:
     """Return the object storage that folders are moved to, as the offloader's CronJob says."""
     try:
         found = await _cronjobs(cluster, "offloader")
@@ -141,7 +141,7 @@ async def _store(cluster: Cluster) -> StoreReference | None:
     return None
 
 
-async def _cronjobs(cluster: Cluster, component: str) -> list[Object]:
+async def _cronjobs(cluster: ConnectedCluster, component: str) -> list[Object]:
     """Return the CronJobs of a component of the chart."""
     path = f"/apis/batch/v1/namespaces/{cluster.namespace}/cronjobs"
     selector = f"app.kubernetes.io/component={component},app.kubernetes.io/name=slamhive"
@@ -151,7 +151,7 @@ async def _cronjobs(cluster: Cluster, component: str) -> list[Object]:
     return list((await cluster.api.json(asked)).get("items") or ())
 
 
-async def _started(cluster: Cluster, job: str, tell: Callable[[str], None]) -> str:
+async def _started(cluster: ConnectedCluster, job: str, tell: Callable[[str], None]) -> str:
     """Wait until a Job's pod runs and return its name."""
     loop = asyncio.get_running_loop()
     begun, told = loop.time(), 0.0

@@ -25,7 +25,7 @@ from slamhive.plan import FixedCatalog
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from slamhive.kube.user.connecting import Cluster
+    from slamhive.kube.user.connecting import ConnectedCluster
     from slamhive.model.base import Resource
     from slamhive.plan import Plan
 
@@ -76,7 +76,7 @@ class ClusterCatalog:
         return (kind, name) in self.bodies
 
 
-async def read_catalog(cluster: Cluster) -> ClusterCatalog:
+async def read_catalog(cluster: ConnectedCluster) -> ClusterCatalog:
     """Return the catalog of a cluster's namespace."""
     models: dict[Kind, type[Resource]] = {Kind.ALGORITHM: Algorithm, Kind.DATASET: Dataset}
     lists = await together(cluster.api.list(kind, cluster.namespace) for kind in models)
@@ -141,7 +141,9 @@ def left_behind(manifests: Iterable[Manifest]) -> list[str]:
     return sentences
 
 
-async def send(cluster: Cluster, manifests: Sequence[Manifest], *, trial: bool = False) -> list[Sent]:
+async def send(
+    cluster: ConnectedCluster, manifests: Sequence[Manifest], *, trial: bool = False
+) -> list[Sent]:
     """Make or change objects so that they are as manifests say; what is equal is left alone.
 
     Args:
@@ -193,7 +195,7 @@ async def send(cluster: Cluster, manifests: Sequence[Manifest], *, trial: bool =
 
 
 async def _do(
-    cluster: Cluster,
+    cluster: ConnectedCluster,
     manifest: Manifest,
     present: Object | None,
     difference: ManifestDifference,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.design import Nearness, Quantity, design
-from slamhive.analysis.predicting import Interval, Prediction, predict
+from slamhive.analysis.predicting import CostInterval, Prediction, predict
 from slamhive.data.store.datasets import is_made
 from slamhive.local.home.extent import DiskTally
 from slamhive.local.running.costs import planned_settings
@@ -60,7 +60,7 @@ class Told:
     """
 
     quantity: Quantity
-    interval: Interval
+    interval: CostInterval
     runs: int
 
 
@@ -175,7 +175,7 @@ def _predict(found: Forecast, known: Sequence[Known], regression: Design, asked:
             draws = prediction.largest()
         else:
             draws = prediction.total(asked.counts, limits * needs if quantity is Quantity.CPU else None)
-        found.told[quantity] = Told(quantity, Interval.of(draws), runs)
+        found.told[quantity] = Told(quantity, CostInterval.of(draws), runs)
 
 
 def makespan(walls: Iterable[float], cores: Iterable[int], slots: int, room: int | None) -> float:
