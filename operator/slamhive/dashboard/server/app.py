@@ -60,14 +60,9 @@ def create_app(source: Source, *, hosts: Collection[str] | None = None) -> FastA
         lifespan=life,
     )
     app.state.service = service
-    parts = (
-        routes.router(service),
-        routes_studies.router(service),
-        routes_figures.router(service),
-        routes_catalog.router(service, events),
-    )
-    for part in parts:
-        app.router.routes.extend(part.routes)  # include_router would read all their annotations again
+    app.state.events = events
+    for part in (routes, routes_studies, routes_figures, routes_catalog):
+        app.router.routes.extend(part.routes.routes)  # include_router would read all their annotations again
     _describe(app, service)
     pages = Pages()
 

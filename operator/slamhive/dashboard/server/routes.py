@@ -10,7 +10,7 @@ from slamhive.analysis.boards import COMPETITORS
 from slamhive.dashboard.answering.encoding import Format, choose_format
 from slamhive.dashboard.answers import analysis, many_runs
 from slamhive.dashboard.server.costs import MOST_COMPETITORS, costs_little
-from slamhive.dashboard.server.service import Service
+from slamhive.dashboard.server.service import service_of
 
 Where = Annotated[
     str | None,
@@ -55,108 +55,111 @@ async def filters_of(
 
 Filters = Annotated[list[tuple[str, str]], Depends(filters_of)]
 
+routes = APIRouter(prefix="/api/v1")
 
-def router(service: Service) -> APIRouter:
-    """Return the routes of the tables and analyses."""
-    routes = APIRouter(prefix="/api/v1")
 
-    @routes.get("/runs", summary="Runs, one item a run and evaluation, page by page")
-    async def runs(
-        request: Request,
-        *,
-        where: Where = None,  # noqa: ARG001 - read with all other filters
-        superseded: Superseded = None,  # noqa: ARG001
-        sort: Names = None,
-        columns: Names = None,
-        limit: Annotated[int | None, Query(ge=1, le=many_runs.MAX_LIMIT)] = None,
-        after: Annotated[str | None, Query(max_length=10_000, description="Token of a page.")] = None,
-        format: FormatName = None,  # noqa: A002
-    ) -> Response:
-        """Any other parameter is a column with a value it must have, as in `algorithm=orb-slam3`.
+@routes.get("/runs", summary="Runs, one item a run and evaluation, page by page")
+async def runs(
+    request: Request,
+    *,
+    where: Where = None,  # noqa: ARG001 - read with all other filters
+    superseded: Superseded = None,  # noqa: ARG001
+    sort: Names = None,
+    columns: Names = None,
+    limit: Annotated[int | None, Query(ge=1, le=many_runs.MAX_LIMIT)] = None,
+    after: Annotated[str | None, Query(max_length=10_000, description="Token of a page.")] = None,
+    format: FormatName = None,  # noqa: A002
+) -> Response:
+    """Any other parameter is a column with a value it must have, as in `algorithm=orb-slam3`.
 
-        Several values of one column are alternatives. Orders are written `coverage>=0.9`. CSV and Parquet
-        without a limit hold all rows.
-        """
-        form = choose_format(format, request.headers.get("accept", ""))
-        filters = pairs(request)
-        if form is not Format.JSON and limit is None and after is None:
-            return await service.stream(
-                request, lambda data: many_runs.whole_table(data, filters, sort=sort, wanted=columns)
-            )
-        return await service.answer(
-            request,
-            lambda data: many_runs.runs_page(
-                data,
-                filters,
-                path=request.url.path,
-                sort=sort,
-                wanted=columns,
-                limit=limit or many_runs.DEFAULT_LIMIT,
-                after=after,
-            ),
-            lambda data: costs_little(data, request.url.query),
+    Several values of one column are alternatives. Orders are written `coverage>=0.9`. CSV and Parquet
+    without a limit hold all rows.
+    """
+    service = service_of(request)
+    form = choose_format(format, request.headers.get("accept", ""))
+    filters = pairs(request)
+    if form is not Format.JSON and limit is None and after is None:
+        return await service.stream(
+            request, lambda data: many_runs.whole_table(data, filters, sort=sort, wanted=columns)
         )
+    return await service.answer(
+        request,
+        lambda data: many_runs.runs_page(
+            data,
+            filters,
+            path=request.url.path,
+            sort=sort,
+            wanted=columns,
+            limit=limit or many_runs.DEFAULT_LIMIT,
+            after=after,
+        ),
+        lambda data: costs_little(data, request.url.query),
+    )
 
-    @routes.get("/columns", summary="Columns that there are, with their ranges and values")
-    async def columns_(
-        request: Request,
-        filters: Filters,
-        *,
-        columns: Names = None,
-    ) -> Response:
-        """Describe columns over the rows that the filters mean."""
-        return await service.answer(request, lambda data: many_runs.columns_list(data, filters, columns))
 
-    @routes.get("/analysis/points", summary="One point a run for a chart, as columns")
-    async def points(
-        request: Request,
-        filters: Filters,
-        *,
-        x: Annotated[str, Query(max_length=10_000, description="A column.")],
-        y: Annotated[str, Query(max_length=10_000, description="A column.")],
-        colour: ColumnName = None,
-        size: ColumnName = None,
-        facet: ColumnName = None,
-        digits: Annotated[int | None, Query(ge=2, le=17, description="Significant digits.")] = None,
-    ) -> Response:
-        """Runs without a value stay in: they are drawn as failed."""
-        axes = {"x": x, "y": y, "colour": colour, "size": size, "facet": facet}
-        return await service.answer(
-            request,
-            lambda data: analysis.points(data, filters, axes, digits),
-            lambda data: costs_little(data, request.url.query),
-        )
+@routes.get("/columns", summary="Columns that there are, with their ranges and values")
+async def columns_(
+    request: Request,
+    filters: Filters,
+    *,
+    columns: Names = None,
+) -> Response:
+    """Describe columns over the rows that the filters mean."""
+    return await service_of(request).answer(
+        request, lambda data: many_runs.columns_list(data, filters, columns)
+    )
 
-    @routes.get("/analysis/aggregate", summary="Figures over groups of runs")
-    async def aggregate(
-        request: Request,
-        filters: Filters,
-        *,
-        by: Names = None,
-        metrics: Names = None,
-        outcomes: Which = "tracked",
-    ) -> Response:
-        """Return figures over groups of runs; columns that must not be pooled become keys where they vary."""
-        return await service.answer(
-            request,
-            lambda data: analysis.aggregated(data, filters, by, metrics, outcomes),
-            lambda data: by is not None and costs_little(data, request.url.query, by),
-        )
 
-    @routes.get("/analysis/leaderboard", summary="Ranks over datasets, with their uncertainty")
-    async def leaderboard(
-        request: Request,
-        filters: Filters,
-        *,
-        metric: Annotated[str, Query(max_length=10_000)] = "ate.rmse",
-        by: Names = None,
-        outcomes: Which = "tracked",
-    ) -> Response:
-        """One board for each combination of evaluation, alignment and pace."""
-        return await service.answer(
-            request,
-            lambda data: analysis.ranked(data, filters, metric, by, outcomes),
-            lambda data: costs_little(data, request.url.query, by, COMPETITORS, MOST_COMPETITORS),
-        )
+@routes.get("/analysis/points", summary="One point a run for a chart, as columns")
+async def points(
+    request: Request,
+    filters: Filters,
+    *,
+    x: Annotated[str, Query(max_length=10_000, description="A column.")],
+    y: Annotated[str, Query(max_length=10_000, description="A column.")],
+    colour: ColumnName = None,
+    size: ColumnName = None,
+    facet: ColumnName = None,
+    digits: Annotated[int | None, Query(ge=2, le=17, description="Significant digits.")] = None,
+) -> Response:
+    """Runs without a value stay in: they are drawn as failed."""
+    axes = {"x": x, "y": y, "colour": colour, "size": size, "facet": facet}
+    return await service_of(request).answer(
+        request,
+        lambda data: analysis.points(data, filters, axes, digits),
+        lambda data: costs_little(data, request.url.query),
+    )
 
-    return routes
+
+@routes.get("/analysis/aggregate", summary="Figures over groups of runs")
+async def aggregate(
+    request: Request,
+    filters: Filters,
+    *,
+    by: Names = None,
+    metrics: Names = None,
+    outcomes: Which = "tracked",
+) -> Response:
+    """Return figures over groups of runs; columns that must not be pooled become keys where they vary."""
+    return await service_of(request).answer(
+        request,
+        lambda data: analysis.aggregated(data, filters, by, metrics, outcomes),
+        lambda data: by is not None and costs_little(data, request.url.query, by),
+    )
+
+
+@routes.get("/analysis/leaderboard", summary="Ranks over datasets, with their uncertainty")
+async def leaderboard(
+    request: Request,
+    filters: Filters,
+    *,
+    metric: Annotated[str, Query(max_length=10_000)] = "ate.rmse",
+    by: Names = None,
+    outcomes: Which = "tracked",
+) -> Response:
+    """One board for each combination of evaluation, alignment and pace."""
+    return await service_of(request).answer(
+        request,
+        lambda data: analysis.ranked(data, filters, metric, by, outcomes),
+        lambda data: costs_little(data, request.url.query, by, COMPETITORS, MOST_COMPETITORS),
+    )

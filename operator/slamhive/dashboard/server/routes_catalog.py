@@ -16,7 +16,7 @@ from slamhive.dashboard.problems import SourceUnavailable
 from slamhive.dashboard.server.costs import costs_little
 from slamhive.dashboard.server.events import MAX_LISTENERS, Events
 from slamhive.dashboard.server.routes import FORMATS
-from slamhive.dashboard.server.service import Service
+from slamhive.dashboard.server.service import Service, service_of
 from slamhive.dashboard.sources.archived import Snapshot
 from slamhive.runfiles.artifacts import ArtifactFolder
 
@@ -24,176 +24,170 @@ Name = Annotated[str, Path(max_length=10_000)]
 Most = Annotated[int, Query(ge=10, le=20_000, description="Points at most.")]
 _CHUNK = 2**18
 
-
-def router(service: Service, events: Events) -> APIRouter:
-    """Return the routes."""
-    routes = APIRouter(prefix="/api/v1")
-    _add_lists(routes, service)
-    _add_catalog(routes, service)
-    _add_recordings(routes, service)
-    _add_run(routes, service)
-    _add_files(routes, service)
-
-    @routes.get("/events", summary="Changes, as server-sent events", response_class=StreamingResponse)
-    async def changes() -> StreamingResponse:
-        """One event `revision` at once, and one whenever something changed."""
-        if events.listeners >= MAX_LISTENERS:
-            raise SourceUnavailable(
-                f"{MAX_LISTENERS} pages are listening already; ask /api/v1 every few seconds"
-            )
-        headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-        return StreamingResponse(events.stream(), media_type="text/event-stream", headers=headers)
-
-    return routes
+routes = APIRouter(prefix="/api/v1")
 
 
 def _little(data: Snapshot) -> bool:
     return costs_little(data, "")
 
 
-def _add_lists(routes: APIRouter, service: Service) -> None:
-    source = service.source
-
-    @routes.get("", summary="What there is, in numbers")
-    async def index(request: Request) -> Response:
-        """Return counts, the source and what does not answer at present."""
-        return await service.answer(request, lambda data: catalog.index(data, source), _little)
-
-    @routes.get("/sweeps", summary="Sweeps, the live ones first", dependencies=FORMATS)
-    async def sweeps(request: Request) -> Response:
-        """Return each sweep with its progress."""
-        return await service.answer_with(request, service.asked_for, catalog.sweeps, _little)
-
-    @routes.get("/sweeps/{name}", summary="One sweep with its spec")
-    async def sweep(
-        request: Request,
-        name: Name,
-        namespace: Annotated[
-            str | None, Query(max_length=253, description="Where it is; empty for a workstation.")
-        ] = None,
-    ) -> Response:
-        """Return a sweep; several may have one name in different namespaces."""
-        return await service.answer_with(
-            request,
-            service.asked_for,
-            lambda data, stored: catalog.sweep(data, stored, name, namespace),
-        )
-
-    @routes.get("/evaluations", summary="Evaluations that there are results of", dependencies=FORMATS)
-    async def evaluations(request: Request) -> Response:
-        """Return each with its outcomes."""
-        return await service.answer(request, catalog.evaluations, _little)
+@routes.get("", summary="What there is, in numbers")
+async def index(request: Request) -> Response:
+    """Return counts, the source and what does not answer at present."""
+    service = service_of(request)
+    return await service.answer(request, lambda data: catalog.index(data, service.source), _little)
 
 
-def _add_catalog(routes: APIRouter, service: Service) -> None:
-    source = service.source
-
-    async def algorithms_known(_: Snapshot) -> list[CatalogEntry]:
-        return await service.run(lambda: source.catalog("Algorithm"))
-
-    async def datasets_known(_: Snapshot) -> list[CatalogEntry]:
-        return await service.run(lambda: source.catalog("Dataset"))
-
-    @routes.get("/algorithms", summary="Algorithms that runs used", dependencies=FORMATS)
-    async def algorithms(request: Request) -> Response:
-        """Return each with what became of its runs."""
-        return await service.answer_with(
-            request,
-            algorithms_known,
-            lambda data, known: catalog.catalog(data, known, "Algorithm"),
-            _little,
-        )
-
-    @routes.get("/algorithms/{name}", summary="One algorithm")
-    async def algorithm(request: Request, name: Name) -> Response:
-        """Return it with its manifest and parameters."""
-        return await service.answer_with(
-            request,
-            algorithms_known,
-            lambda data, known: catalog.catalog_entry(data, known, "Algorithm", name),
-        )
-
-    @routes.get("/datasets", summary="Datasets that runs used", dependencies=FORMATS)
-    async def datasets(request: Request) -> Response:
-        """Return each with its attributes."""
-        return await service.answer_with(
-            request,
-            datasets_known,
-            lambda data, known: catalog.catalog(data, known, "Dataset"),
-            _little,
-        )
-
-    @routes.get("/datasets/{name}", summary="One dataset")
-    async def dataset(request: Request, name: Name) -> Response:
-        """Return it with its manifest and sensors."""
-        return await service.answer_with(
-            request,
-            datasets_known,
-            lambda data, known: catalog.catalog_entry(data, known, "Dataset", name),
-        )
+@routes.get("/sweeps", summary="Sweeps, the live ones first", dependencies=FORMATS)
+async def sweeps(request: Request) -> Response:
+    """Return each sweep with its progress."""
+    service = service_of(request)
+    return await service.answer_with(request, service.asked_for, catalog.sweeps, _little)
 
 
-def _add_recordings(routes: APIRouter, service: Service) -> None:
-    @routes.get("/datasets/{name}/overview", summary="What is drawn of a dataset's recording")
-    async def overview(request: Request, name: Name) -> Response:
-        """Images, path, rates and gaps, IMU; on a workstation, once `dataset show --html` made it."""
-
-        async def found(_: Snapshot) -> dict[str, Any]:
-            return await service.run(lambda: recordings.kept(service.source, name))
-
-        return await service.answer_with(request, found, recordings.overview)
-
-
-def _add_run(routes: APIRouter, service: Service) -> None:
-    source = service.source
-
-    @routes.get("/runs/{uid}", summary="All that is known of one run")
-    async def run(request: Request, uid: Name) -> Response:
-        """Return configuration, provenance, usage, results, log and the YAML to run it again."""
-        return await service.answer_with(request, _found(service, uid), one_run.detail)
-
-    @routes.get("/runs/{uid}/manifest", summary="The YAML that runs it again")
-    async def manifest(uid: Name) -> Response:
-        """Return a MappingRun."""
-        await service.fresh()
-        record = await service.run(lambda: one_run.find(source, uid))
-        headers = {"Content-Disposition": _attachment(f"{record.name}.yaml")}
-        return Response(one_run.manifest(record), media_type="application/yaml", headers=headers)
-
-    @routes.get(
-        "/runs/{uid}/trajectory",
-        summary="Aligned path over its ground truth, with errors",
-        dependencies=FORMATS,
+@routes.get("/sweeps/{name}", summary="One sweep with its spec")
+async def sweep(
+    request: Request,
+    name: Name,
+    namespace: Annotated[
+        str | None, Query(max_length=253, description="Where it is; empty for a workstation.")
+    ] = None,
+) -> Response:
+    """Return a sweep; several may have one name in different namespaces."""
+    service = service_of(request)
+    return await service.answer_with(
+        request,
+        service.asked_for,
+        lambda data, stored: catalog.sweep(data, stored, name, namespace),
     )
-    async def trajectory(
-        request: Request,
-        uid: Name,
-        *,
-        evaluation: Annotated[str | None, Query(max_length=10_000)] = None,
-        points: Most = 2000,
-    ) -> Response:
-        """The pose with the largest error is always among those shown."""
 
-        async def material(_: Snapshot) -> one_run.RunMaterial:
-            return await service.run(lambda: one_run.material(source, uid))
 
-        return await service.answer_with(
-            request, material, lambda data, given: one_run.trajectory(data, given, evaluation, points)
-        )
+@routes.get("/evaluations", summary="Evaluations that there are results of", dependencies=FORMATS)
+async def evaluations(request: Request) -> Response:
+    """Return each with its outcomes."""
+    return await service_of(request).answer(request, catalog.evaluations, _little)
 
-    @routes.get("/runs/{uid}/usage", summary="CPU and memory over time", dependencies=FORMATS)
-    async def usage(
-        request: Request,
-        uid: Name,
-        *,
-        points: Most = 2000,
-    ) -> Response:
-        """Of each stretch the mean load and the largest memory."""
-        return await service.answer_with(
-            request,
-            _found(service, uid, lambda _: one_run.WANTED_OF_USAGE),
-            lambda data, found: one_run.usage(data, found, points),
-        )
+
+def _known(service: Service, kind: str) -> Callable[[Snapshot], Awaitable[list[CatalogEntry]]]:
+    """Return a function that looks up what the catalog has of a kind."""
+
+    async def known(_: Snapshot) -> list[CatalogEntry]:
+        return await service.run(lambda: service.source.catalog(kind))
+
+    return known
+
+
+@routes.get("/algorithms", summary="Algorithms that runs used", dependencies=FORMATS)
+async def algorithms(request: Request) -> Response:
+    """Return each with what became of its runs."""
+    service = service_of(request)
+    return await service.answer_with(
+        request,
+        _known(service, "Algorithm"),
+        lambda data, known: catalog.catalog(data, known, "Algorithm"),
+        _little,
+    )
+
+
+@routes.get("/algorithms/{name}", summary="One algorithm")
+async def algorithm(request: Request, name: Name) -> Response:
+    """Return it with its manifest and parameters."""
+    service = service_of(request)
+    return await service.answer_with(
+        request,
+        _known(service, "Algorithm"),
+        lambda data, known: catalog.catalog_entry(data, known, "Algorithm", name),
+    )
+
+
+@routes.get("/datasets", summary="Datasets that runs used", dependencies=FORMATS)
+async def datasets(request: Request) -> Response:
+    """Return each with its attributes."""
+    service = service_of(request)
+    return await service.answer_with(
+        request,
+        _known(service, "Dataset"),
+        lambda data, known: catalog.catalog(data, known, "Dataset"),
+        _little,
+    )
+
+
+@routes.get("/datasets/{name}", summary="One dataset")
+async def dataset(request: Request, name: Name) -> Response:
+    """Return it with its manifest and sensors."""
+    service = service_of(request)
+    return await service.answer_with(
+        request,
+        _known(service, "Dataset"),
+        lambda data, known: catalog.catalog_entry(data, known, "Dataset", name),
+    )
+
+
+@routes.get("/datasets/{name}/overview", summary="What is drawn of a dataset's recording")
+async def overview(request: Request, name: Name) -> Response:
+    """Images, path, rates and gaps, IMU; on a workstation, once `dataset show --html` made it."""
+    service = service_of(request)
+
+    async def found(_: Snapshot) -> dict[str, Any]:
+        return await service.run(lambda: recordings.kept(service.source, name))
+
+    return await service.answer_with(request, found, recordings.overview)
+
+
+@routes.get("/runs/{uid}", summary="All that is known of one run")
+async def run(request: Request, uid: Name) -> Response:
+    """Return configuration, provenance, usage, results, log and the YAML to run it again."""
+    service = service_of(request)
+    return await service.answer_with(request, _found(service, uid), one_run.detail)
+
+
+@routes.get("/runs/{uid}/manifest", summary="The YAML that runs it again")
+async def manifest(request: Request, uid: Name) -> Response:
+    """Return a MappingRun."""
+    service = service_of(request)
+    await service.fresh()
+    record = await service.run(lambda: one_run.find(service.source, uid))
+    headers = {"Content-Disposition": _attachment(f"{record.name}.yaml")}
+    return Response(one_run.manifest(record), media_type="application/yaml", headers=headers)
+
+
+@routes.get(
+    "/runs/{uid}/trajectory",
+    summary="Aligned path over its ground truth, with errors",
+    dependencies=FORMATS,
+)
+async def trajectory(
+    request: Request,
+    uid: Name,
+    *,
+    evaluation: Annotated[str | None, Query(max_length=10_000)] = None,
+    points: Most = 2000,
+) -> Response:
+    """The pose with the largest error is always among those shown."""
+    service = service_of(request)
+
+    async def material(_: Snapshot) -> one_run.RunMaterial:
+        return await service.run(lambda: one_run.material(service.source, uid))
+
+    return await service.answer_with(
+        request, material, lambda data, given: one_run.trajectory(data, given, evaluation, points)
+    )
+
+
+@routes.get("/runs/{uid}/usage", summary="CPU and memory over time", dependencies=FORMATS)
+async def usage(
+    request: Request,
+    uid: Name,
+    *,
+    points: Most = 2000,
+) -> Response:
+    """Of each stretch the mean load and the largest memory."""
+    service = service_of(request)
+    return await service.answer_with(
+        request,
+        _found(service, uid, lambda _: one_run.WANTED_OF_USAGE),
+        lambda data, found: one_run.usage(data, found, points),
+    )
 
 
 def _found(
@@ -207,24 +201,38 @@ def _found(
     return find
 
 
-def _add_files(routes: APIRouter, service: Service) -> None:
-    @routes.get("/runs/{uid}/files", summary="Files of a run", dependencies=FORMATS)
-    async def files(request: Request, uid: Name) -> Response:
-        """At most 1,000 of them."""
-        return await service.answer_with(request, _found(service, uid), one_run.files)
+@routes.get("/runs/{uid}/files", summary="Files of a run", dependencies=FORMATS)
+async def files(request: Request, uid: Name) -> Response:
+    """At most 1,000 of them."""
+    service = service_of(request)
+    return await service.answer_with(request, _found(service, uid), one_run.files)
 
-    @routes.get("/runs/{uid}/settings-files", summary="Settings files that were rendered for a run")
-    async def settings_files(request: Request, uid: Name) -> Response:
-        """A text of more than 128 KiB is null: it can be downloaded as a file."""
-        return await service.answer_with(
-            request, _found(service, uid, one_run.wanted_settings), one_run.settings_files
-        )
 
-    @routes.get("/runs/{uid}/files/{path:path}", summary="One file of a run")
-    async def file(uid: Name, path: Name) -> Response:
-        """Links are not followed."""
-        await service.fresh()
-        return await service.run(lambda: _download(service, uid, path))
+@routes.get("/runs/{uid}/settings-files", summary="Settings files that were rendered for a run")
+async def settings_files(request: Request, uid: Name) -> Response:
+    """A text of more than 128 KiB is null: it can be downloaded as a file."""
+    service = service_of(request)
+    return await service.answer_with(
+        request, _found(service, uid, one_run.wanted_settings), one_run.settings_files
+    )
+
+
+@routes.get("/runs/{uid}/files/{path:path}", summary="One file of a run")
+async def file(request: Request, uid: Name, path: Name) -> Response:
+    """Links are not followed."""
+    service = service_of(request)
+    await service.fresh()
+    return await service.run(lambda: _download(service, uid, path))
+
+
+@routes.get("/events", summary="Changes, as server-sent events", response_class=StreamingResponse)
+async def changes(request: Request) -> StreamingResponse:
+    """One event `revision` at once, and one whenever something changed."""
+    events: Events = request.app.state.events
+    if events.listeners >= MAX_LISTENERS:
+        raise SourceUnavailable(f"{MAX_LISTENERS} pages are listening already; ask /api/v1 every few seconds")
+    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+    return StreamingResponse(events.stream(), media_type="text/event-stream", headers=headers)
 
 
 def _download(service: Service, uid: str, path: str) -> Response:

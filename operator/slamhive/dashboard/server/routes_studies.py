@@ -11,7 +11,7 @@ from slamhive.analysis.comparing import MAX_COMPETITORS
 from slamhive.dashboard.answers import common_support, studies
 from slamhive.dashboard.answers import versions as versions_answer
 from slamhive.dashboard.server.routes import Filters, FormatName, Names, Where, Which, pairs
-from slamhive.dashboard.server.service import Service, client_of
+from slamhive.dashboard.server.service import client_of, service_of
 from slamhive.dashboard.sources.archived import Snapshot
 
 Metric = Annotated[str, Query(max_length=10_000, description="A column of numbers.")]
@@ -20,121 +20,129 @@ First = Annotated[
     int, Query(ge=1, le=1_000_000, description="Place by mean rank of the first competitor that is shown.")
 ]
 
+routes = APIRouter(prefix="/api/v1/analysis")
 
-def router(service: Service) -> APIRouter:
-    """Return the routes."""
-    routes = APIRouter(prefix="/api/v1/analysis")
 
-    @routes.get("/compare", summary="Competitors two by two, with a paired test over datasets")
-    async def compare(
-        request: Request,
-        filters: Filters,
-        *,
-        metric: Metric = ERROR,
-        by: Names = None,
-        outcomes: Which = "tracked",
-        most: Annotated[
-            int | None,
-            Query(
-                ge=2,
-                le=MAX_COMPETITORS,
-                description="Competitors that are shown; default: all of up to 40, the 12 best of more.",
-            ),
-        ] = None,
-        first: First = 1,
-    ) -> Response:
-        """The p values are exact up to 14 datasets and corrected after Holm for all pairs, shown or not."""
-        window = Window(most, first)
-        return await service.answer(
-            request, lambda data: studies.compared(data, filters, metric, by, outcomes, window=window)
+@routes.get("/compare", summary="Competitors two by two, with a paired test over datasets")
+async def compare(
+    request: Request,
+    filters: Filters,
+    *,
+    metric: Metric = ERROR,
+    by: Names = None,
+    outcomes: Which = "tracked",
+    most: Annotated[
+        int | None,
+        Query(
+            ge=2,
+            le=MAX_COMPETITORS,
+            description="Competitors that are shown; default: all of up to 40, the 12 best of more.",
+        ),
+    ] = None,
+    first: First = 1,
+) -> Response:
+    """The p values are exact up to 14 datasets and corrected after Holm for all pairs, shown or not."""
+    window = Window(most, first)
+    return await service_of(request).answer(
+        request, lambda data: studies.compared(data, filters, metric, by, outcomes, window=window)
+    )
+
+
+@routes.get("/pareto", summary="Error against cost: who is beaten by nobody in both")
+async def pareto(
+    request: Request,
+    filters: Filters,
+    *,
+    x: Metric = "usage.cpu.secondsPerDataSecond",
+    y: Metric = ERROR,
+    by: Names = None,
+    outcomes: Which = "tracked",
+) -> Response:
+    """One front a dataset, evaluation, pace and processor."""
+    return await service_of(request).answer(
+        request, lambda data: studies.fronts(data, filters, (x, y), by, outcomes)
+    )
+
+
+@routes.get("/importance", summary="Which settings matter")
+async def importance(
+    request: Request,
+    filters: Filters,
+    *,
+    metric: Metric = ERROR,
+) -> Response:
+    """Share of the variance of the logarithm that each setting explains; adaptive searches left out."""
+    service = service_of(request)
+    return await service.answer_with(
+        request,
+        service.adaptive_sweeps,
+        lambda data, adaptive: studies.influences(data, filters, metric, adaptive),
+    )
+
+
+@routes.get("/repeatability", summary="Repetitions of each configuration")
+async def repeatability(
+    request: Request,
+    filters: Filters,
+    *,
+    metric: Metric = ERROR,
+) -> Response:
+    """Equal trajectories count once."""
+    return await service_of(request).answer(request, lambda data: studies.repeated(data, filters, metric))
+
+
+@routes.get("/versions", summary="Before and after: an edited algorithm or dataset, setting by setting")
+async def versions(
+    request: Request,
+    *,
+    metric: Metric = ERROR,
+    outcomes: Which = "tracked",
+    where: Where = None,  # noqa: ARG001
+    format: FormatName = None,  # noqa: A002, ARG001
+) -> Response:
+    """The latest version against each earlier one, with a test; results of earlier versions are meant."""
+    filters = pairs(request)
+    return await service_of(request).answer(
+        request, lambda data: versions_answer.changed(data, filters, metric, outcomes)
+    )
+
+
+@routes.get("/common", summary="Runs of a dataset measured again where all of them have poses")
+async def common(
+    request: Request,
+    filters: Filters,
+    *,
+    by: Names = None,
+    outcomes: Which = "all",
+) -> Response:
+    """Errors over the runs' own and over their common support, from their trajectories."""
+    service = service_of(request)
+    client = client_of(request)
+
+    async def material(data: Snapshot) -> common_support.ResultMaterial:
+        meant = await service.workers.compute(
+            lambda: common_support.meant(data, filters, by, outcomes), client
         )
+        return await service.run(lambda: common_support.material(service.source, meant))
 
-    @routes.get("/pareto", summary="Error against cost: who is beaten by nobody in both")
-    async def pareto(
-        request: Request,
-        filters: Filters,
-        *,
-        x: Metric = "usage.cpu.secondsPerDataSecond",
-        y: Metric = ERROR,
-        by: Names = None,
-        outcomes: Which = "tracked",
-    ) -> Response:
-        """One front a dataset, evaluation, pace and processor."""
-        return await service.answer(request, lambda data: studies.fronts(data, filters, (x, y), by, outcomes))
+    return await service.answer_with(request, material, common_support.common)
 
-    @routes.get("/importance", summary="Which settings matter")
-    async def importance(
-        request: Request,
-        filters: Filters,
-        *,
-        metric: Metric = ERROR,
-    ) -> Response:
-        """Share of the variance of the logarithm that each setting explains; adaptive searches left out."""
-        return await service.answer_with(
-            request,
-            service.adaptive_sweeps,
-            lambda data, adaptive: studies.influences(data, filters, metric, adaptive),
-        )
 
-    @routes.get("/repeatability", summary="Repetitions of each configuration")
-    async def repeatability(
-        request: Request,
-        filters: Filters,
-        *,
-        metric: Metric = ERROR,
-    ) -> Response:
-        """Equal trajectories count once."""
-        return await service.answer(request, lambda data: studies.repeated(data, filters, metric))
+@routes.get("/suspects", summary="Scales that are off by the same factor in all runs")
+async def suspects(
+    request: Request,
+    filters: Filters,
+) -> Response:
+    """Such a scale is the calibration's, not the algorithm's."""
+    return await service_of(request).answer(request, lambda data: studies.suspicions(data, filters))
 
-    @routes.get("/versions", summary="Before and after: an edited algorithm or dataset, setting by setting")
-    async def versions(
-        request: Request,
-        *,
-        metric: Metric = ERROR,
-        outcomes: Which = "tracked",
-        where: Where = None,  # noqa: ARG001
-        format: FormatName = None,  # noqa: A002, ARG001
-    ) -> Response:
-        """The latest version against each earlier one, with a test; results of earlier versions are meant."""
-        filters = pairs(request)
-        return await service.answer(
-            request, lambda data: versions_answer.changed(data, filters, metric, outcomes)
-        )
 
-    @routes.get("/common", summary="Runs of a dataset measured again where all of them have poses")
-    async def common(
-        request: Request,
-        filters: Filters,
-        *,
-        by: Names = None,
-        outcomes: Which = "all",
-    ) -> Response:
-        """Errors over the runs' own and over their common support, from their trajectories."""
-        client = client_of(request)
-
-        async def material(data: Snapshot) -> common_support.ResultMaterial:
-            meant = await service.workers.compute(
-                lambda: common_support.meant(data, filters, by, outcomes), client
-            )
-            return await service.run(lambda: common_support.material(service.source, meant))
-
-        return await service.answer_with(request, material, common_support.common)
-
-    @routes.get("/suspects", summary="Scales that are off by the same factor in all runs")
-    async def suspects(
-        request: Request,
-        filters: Filters,
-    ) -> Response:
-        """Such a scale is the calibration's, not the algorithm's."""
-        return await service.answer(request, lambda data: studies.suspicions(data, filters))
-
-    @routes.get("/published", summary="Published numbers on the datasets of runs")
-    async def published(
-        request: Request,
-        filters: Filters,
-    ) -> Response:
-        """Shown beside own runs, never averaged with them; with why own numbers may differ."""
-        home = service.source.home()
-        return await service.answer(request, lambda data: studies.published(data, filters, home))
-
-    return routes
+@routes.get("/published", summary="Published numbers on the datasets of runs")
+async def published(
+    request: Request,
+    filters: Filters,
+) -> Response:
+    """Shown beside own runs, never averaged with them; with why own numbers may differ."""
+    service = service_of(request)
+    home = service.source.home()
+    return await service.answer(request, lambda data: studies.published(data, filters, home))

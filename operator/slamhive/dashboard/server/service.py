@@ -306,6 +306,12 @@ async def _departure(request: Request) -> None:
         pass
 
 
+def service_of(request: Request) -> Service:
+    """Return the service of the application that was asked."""
+    service: Service = request.app.state.service
+    return service
+
+
 def client_of(request: Request) -> str:
     """Return the address of who asks."""
     return request.client.host if request.client is not None else ""
