@@ -80,6 +80,24 @@ class CompetitorPair:
     least_p: float
     word: str
 
+    def flat(self) -> dict[str, Any]:
+        """Return it as a flat record."""
+        return {
+            **{f"a.{name}": value for name, value in self.a.items()},
+            **{f"b.{name}": value for name, value in self.b.items()},
+            "datasets": len(self.datasets),
+            "ratio": self.ratio,
+            "ratio.low": self.ratio_interval.low,
+            "ratio.high": self.ratio_interval.high,
+            "wins.a": self.wins[0],
+            "wins.b": self.wins[1],
+            "effect": self.effect,
+            "p": self.p,
+            "p.holm": self.p_holm,
+            "p.least": self.least_p,
+            "sentence": self.sentence,
+        }
+
     @property
     def sentence(self) -> str:
         """Result in a sentence: how often each competitor is better, and whether that may be chance."""

@@ -12,7 +12,6 @@ from slamhive.analysis.cells import different
 from slamhive.analysis.grouping import (
     SUBJECT,
     Groups,
-    Outcomes,
     aggregate,
     apart,
     pooling_notes,
@@ -161,6 +160,3 @@ def _suspects_by(inside: Frame, numbers: Floats, keys_by: list[str]) -> list[Sus
         if len(values) >= LEAST_RUNS and off >= LEAST_OFF and spread <= MOST_SPREAD * off:
             found.append(Suspect(keys, middle, spread, len(values)))
     return found
-
-
-__all__ = ["Outcomes", "Repetitions", "Suspect", "repeatability", "suspects"]

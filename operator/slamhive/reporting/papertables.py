@@ -268,28 +268,32 @@ def _over_datasets(frame: Frame, layout: TableLayout, rows: Sequence[dict[str, A
         ranks = [standing.rank for standing in entry.standings if not math.isnan(standing.rank)]
         ratio = None if math.isnan(entry.ratio) else entry.ratio
         found.append((sum(ranks) / len(ranks) if ranks else None, ratio, (len(ranks), of)))
-    return tuple(
-        OverAll(
-            kind,
-            _marked([one[1] if kind is Overall.RATIO else one[0] for one in found], layout),
-            tuple(one[2] for one in found),
-        )
-        for kind in layout.overall
-    )
+    over = []
+    for kind in layout.overall:
+        values = [one[1] if kind is Overall.RATIO else one[0] for one in found]
+        costs = [math.inf if value is None else float(format(value, ".2f")) for value in values]
+        marked = _marked([TableNumber(value) for value in values], costs, layout, len(values))
+        over.append(OverAll(kind, marked, tuple(one[2] for one in found)))
+    return tuple(over)
 
 
-def _marked(values: Sequence[float | None], layout: TableLayout) -> tuple[TableNumber, ...]:
-    """Return numbers of which the smallest is the best."""
-    shown = [math.inf if value is None else float(format(value, ".2f")) for value in values]
-    ordered = sorted({value for value in shown if math.isfinite(value)})
-    told = layout.best is not Best.NONE and len(values) > 1
+def _marked(
+    numbers: Sequence[TableNumber], costs: Sequence[float], layout: TableLayout, rows: int
+) -> tuple[TableNumber, ...]:
+    """Return numbers with the best and the second one marked.
+
+    Args:
+        numbers: those of a column, or of a group of its rows.
+        costs: of each as it is shown, small is good; infinite for what can't be the best.
+        layout: of the table.
+        rows: number of rows that they stand in.
+    """
+    if layout.best is Best.NONE or rows < 2:
+        return tuple(numbers)
+    first, second = [*sorted({cost for cost in costs if math.isfinite(cost)}), math.nan, math.nan][:2]
     return tuple(
-        TableNumber(
-            value,
-            bold=told and bool(ordered) and number == ordered[0],
-            second=told and len(values) >= LEAST_FOR_SECOND and len(ordered) > 1 and number == ordered[1],
-        )
-        for value, number in zip(values, shown, strict=True)
+        replace(number, bold=cost == first, second=rows >= LEAST_FOR_SECOND and cost == second)
+        for number, cost in zip(numbers, costs, strict=True)
     )
 
 
@@ -383,42 +387,23 @@ def _with_best(
     places: list[list[TableCell | None]], rows: Sequence[tuple[Any, ...]], layout: TableLayout
 ) -> list[list[TableCell | None]]:
     """Mark best and second numbers; one of which not even half of the runs were tracked is none."""
-    if layout.best is Best.NONE:
-        return places
-    groups = [_plain(row[0]) if layout.best is Best.GROUP and len(row) > 1 else "" for row in rows]
-    sizes = Counter(groups)
-    costs = [[_costs(place, layout.metrics) for place in line] for line in places]
-    known: dict[tuple[str, int, int], set[float]] = {}
-    for group, line in zip(groups, costs, strict=True):
-        for column, numbers in enumerate(line):
-            for number, cost in enumerate(numbers):
-                known.setdefault((group, column, number), set()).add(cost)
-    ordered = {key: [*sorted(found - {math.inf}), math.inf, math.inf] for key, found in known.items()}
-    return [
-        [
-            place
-            and replace(
-                place,
-                figures=tuple(
-                    replace(
-                        figure,
-                        bold=sizes[group] > 1 and cost == ordered[group, column, number][0] < math.inf,
-                        second=sizes[group] >= LEAST_FOR_SECOND
-                        and cost == ordered[group, column, number][1] < math.inf,
-                    )
-                    for number, (figure, cost) in enumerate(zip(place.figures, numbers, strict=True))
-                ),
-            )
-            for column, (place, numbers) in enumerate(zip(line, line_costs, strict=True))
-        ]
-        for group, line, line_costs in zip(groups, places, costs, strict=True)
-    ]
+    groups: dict[str, list[list[TableCell | None]]] = {}
+    for row, line in zip(rows, places, strict=True):
+        group = _plain(row[0]) if layout.best is Best.GROUP and len(row) > 1 else ""
+        groups.setdefault(group, []).append(line)
+    for lines in groups.values():
+        for column in range(len(lines[0])):
+            held = [(line, place) for line in lines if (place := line[column]) is not None]
+            costs = zip(*(_costs(place, layout.metrics) for _, place in held), strict=True)
+            numbers = zip(*(place.figures for _, place in held), strict=True)
+            marked = (_marked(*both, layout, len(lines)) for both in zip(numbers, costs, strict=True))
+            for (line, place), figures in zip(held, zip(*marked, strict=True), strict=True):
+                line[column] = replace(place, figures=figures)
+    return places
 
 
-def _costs(place: TableCell | None, metrics: Sequence[Metric]) -> list[float]:
+def _costs(place: TableCell, metrics: Sequence[Metric]) -> list[float]:
     """Return each figure as a cost, small is good, as it is shown; infinite for what can't be the best."""
-    if place is None:
-        return []
     return [
         _way(metric.column) * float(format(figure.value, metric.format or ".4g"))
         if figure.value is not None and _way(metric.column) and 2 * place.tracked > place.runs

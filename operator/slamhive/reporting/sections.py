@@ -171,7 +171,7 @@ def _pairs_sheet(board: BoardComparison, number: int) -> Sheet:
         ]
         for pair, verdict in zip(board.pairs[:MOST_PAIRS], verdicts, strict=False)
     ]
-    rows = [_pair_row(board, pair) for pair in board.pairs]
+    rows = [board.facets | pair.flat() for pair in board.pairs]
     shown_of = f", the surest {MOST_PAIRS} of {len(rows)}" if len(rows) > MOST_PAIRS else ""
     caption = f"Two by two: medians of each dataset, sign-flip test, corrected after Holm{shown_of}"
     if alike:
@@ -182,24 +182,6 @@ def _pairs_sheet(board: BoardComparison, number: int) -> Sheet:
 def _verdict(pair: CompetitorPair) -> str:
     sentence = pair.sentence
     return sentence.partition(": ")[2] or sentence
-
-
-def _pair_row(board: BoardComparison, pair: CompetitorPair) -> dict[str, Any]:
-    return {
-        **board.facets,
-        **{f"a.{name}": value for name, value in pair.a.items()},
-        **{f"b.{name}": value for name, value in pair.b.items()},
-        "datasets": len(pair.datasets),
-        "wins.a": pair.wins[0],
-        "wins.b": pair.wins[1],
-        "ratio": pair.ratio,
-        "ratio.low": pair.ratio_interval.low,
-        "ratio.high": pair.ratio_interval.high,
-        "effect": pair.effect,
-        "p": pair.p,
-        "p.holm": pair.p_holm,
-        "p.least": pair.least_p,
-    }
 
 
 def fronts_section(

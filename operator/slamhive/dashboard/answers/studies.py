@@ -65,7 +65,7 @@ def compared(
     }
     return Body(
         content,
-        lambda: as_columns([_pair_row(board.facets, pair) for board in boards for pair in board.pairs]),
+        lambda: as_columns([board.facets | pair.flat() for board in boards for pair in board.pairs]),
     )
 
 
@@ -85,25 +85,6 @@ def _pair_json(pair: CompetitorPair) -> dict[str, Any]:
         "p": pair.p,
         "pHolm": pair.p_holm,
         "leastP": pair.least_p,
-        "sentence": pair.sentence,
-    }
-
-
-def _pair_row(facets: dict[str, Any], pair: CompetitorPair) -> dict[str, Any]:
-    return {
-        **facets,
-        **{f"a.{name}": value for name, value in pair.a.items()},
-        **{f"b.{name}": value for name, value in pair.b.items()},
-        "datasets": len(pair.datasets),
-        "ratio": pair.ratio,
-        "ratio.low": pair.ratio_interval.low,
-        "ratio.high": pair.ratio_interval.high,
-        "wins.a": pair.wins[0],
-        "wins.b": pair.wins[1],
-        "effect": pair.effect,
-        "p": pair.p,
-        "p.holm": pair.p_holm,
-        "p.least": pair.least_p,
         "sentence": pair.sentence,
     }
 
