@@ -149,15 +149,16 @@ def run(words: list[str], home: Path, repetitions: int = 1) -> Cost:
 
 
 def peer_python() -> Path | None:
-    """The interpreter of an environment with evo, made when it isn't there; None where pip can't."""
+    """The interpreter of an environment with evo, made when it isn't there; None where uv can't."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     folder = cache / "slamhive-bench" / EVO.replace("==", "-")
     python = folder / "bin" / "python"
     works = python.exists() and not subprocess.run([python, "-c", "import evo"], check=False).returncode
     if not works:
         try:
-            venv.create(folder, with_pip=True, clear=True)
-            subprocess.run([python, "-m", "pip", "install", "--quiet", EVO], check=True, capture_output=True)
+            venv.create(folder, clear=True)
+            words = ["pip", "install", "--quiet", "--python", python, EVO]
+            subprocess.run([Path(sys.prefix) / "bin" / "uv", *words], check=True, capture_output=True)
         except (OSError, subprocess.CalledProcessError):
             return None
     return python

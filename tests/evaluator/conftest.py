@@ -4,6 +4,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import sys
 import venv
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -57,9 +58,10 @@ def evo(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]:
         found = shutil.which("evo_res", path=os.environ.get("EVO_BIN")) or shutil.which("evo_res", path=own)
         if found is None:
             try:
-                venv.create(own.parent, with_pip=True, clear=True)
-                words = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", EVO]
-                subprocess.run([own / "python", *words], check=True, capture_output=True, timeout=600)
+                venv.create(own.parent, clear=True)
+                words = ["pip", "install", "--quiet", "--python", own / "python", EVO]
+                uv = Path(sys.prefix) / "bin" / "uv"
+                subprocess.run([uv, *words], check=True, capture_output=True, timeout=600)
             except (OSError, subprocess.SubprocessError):
                 shutil.rmtree(own.parent, ignore_errors=True)
                 pytest.skip(f"{EVO} can't be installed here; EVO_BIN names a folder with its programs")

@@ -197,7 +197,7 @@ def test_environments_and_assets_stay_while_the_catalog_or_a_run_needs_them(
     lab.run("a")
     entry = load_workshop(lab.home).algorithm("mine")
     needed = whole(Environments(root).folder_of(entry) or root)
-    used, neither, half = whole(root / ("1" * 16)), whole(root / ("2" * 16)), root / ("3" * 16)
+    used, neither, half = whole(root / ("1" * 16)), whole(root / ("2" * 16)), root / ("3" * 16 + ".making")
     half.mkdir()
     (lab.folder("a") / "supervisor.json").write_text(f'{{"argv": ["{used}/bin/python"]}}')
     assets.mkdir()

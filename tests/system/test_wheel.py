@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 ROOT = Path(__file__).parents[2]
-NO_NETWORK = ("connection broken", "NewConnectionError", "Temporary failure in name resolution")
-PIP = ("-m", "pip", "--no-input", "--disable-pip-version-check")
+NO_NETWORK = ("error sending request", "Temporary failure in name resolution")
+UV = Path(sys.prefix) / "bin" / "uv"
 
 
 def clean() -> dict[str, str]:
@@ -29,28 +29,27 @@ def clean() -> dict[str, str]:
     return {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "VIRTUAL_ENV"))}
 
 
-def pip(python: Path | str, *arguments: str | Path) -> None:
-    command = [python, *PIP, *arguments]
-    result = subprocess.run(command, capture_output=True, text=True, env=clean(), check=False)
+def uv(*arguments: str | Path) -> str:
+    result = subprocess.run([UV, *arguments], capture_output=True, text=True, env=clean(), check=False)
     if result.returncode and any(words in result.stderr for words in NO_NETWORK):
         pytest.skip("the package registry can't be reached: the wheel's dependencies can't be installed")
     assert result.returncode == 0, result.stderr[-2000:]
+    return result.stdout
 
 
 @pytest.fixture(scope="module")
 def wheels(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the wheels of both distributions."""
     folder = tmp_path_factory.mktemp("wheels")
-    sources = (ROOT, ROOT / "evaluator")
-    pip(sys.executable, "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, *sources)
+    for source in (ROOT, ROOT / "evaluator"):
+        uv("build", "--quiet", "--wheel", "--out-dir", folder, source)
     return folder
 
 
 def install(folder: Path, *wheels: Path) -> Path:
     """Make an environment with these wheels and what they need; return the folder of its programs."""
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True, env=clean())
-    # Most of what is installed is never imported here, and need not be compiled.
-    pip(sys.executable, "--python", folder, "install", "--quiet", "--no-compile", *wheels)
+    uv("pip", "install", "--quiet", "--python", folder / "bin" / "python", *wheels)
     return folder / "bin"
 
 
@@ -113,8 +112,7 @@ def test_the_wheel_brings_all_pages(installed: Path) -> None:
 
 def test_the_evaluator_needs_numpy_alone(evaluator: Path, tmp_path: Path) -> None:
     place: Any = {"cwd": tmp_path, "home": tmp_path}
-    words = ("--python", evaluator / "python", "list", "--format", "json")
-    listed = json.loads(call(Path(sys.executable), *PIP, *words, **place))
+    listed = json.loads(uv("pip", "list", "--format", "json", "--python", evaluator / "python"))
     assert {one["name"] for one in listed} == {"slamhive-eval", "numpy"}
     path = tmp_path / "path.txt"
     path.write_text("".join(f"{k} {k} {k * k / 9} 0 0 0 0 1\n" for k in range(4)))

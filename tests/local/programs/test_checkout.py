@@ -3,12 +3,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +15,8 @@ import pytest
 from slamhive.local.programs import checkout
 from slamhive.local.programs import uv as uv_module
 from slamhive.local.programs.uv import find_uv, uv_commands, uv_variables
+
+from .wheels import wheel
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,20 +47,6 @@ def build_editable(folder, config_settings=None, metadata_directory=None):
         wheel.writestr(info + "RECORD", "")
     return os.path.basename(wheel.filename)
 """
-
-
-def wheel(folder: Path, name: str) -> str:
-    """Write a wheel of a package with a program of its name, and return what requires it."""
-    path = folder / f"{name}-1.0-py3-none-any.whl"
-    info = f"{name}-1.0.dist-info"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr(f"{name}.py", f"def main(): print('this is {name}')\n")
-        archive.writestr(f"{info}/METADATA", f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
-        kind = "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
-        archive.writestr(f"{info}/WHEEL", kind)
-        archive.writestr(f"{info}/entry_points.txt", f"[console_scripts]\n{name} = {name}:main\n")
-        archive.writestr(f"{info}/RECORD", "")
-    return f"{name}==1.0 \\\n    --hash=sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}\n"
 
 
 @pytest.fixture
@@ -219,24 +205,25 @@ def test_two_at_once_make_one(place: Path) -> None:
     assert works(folder, "shown")
 
 
-@pytest.mark.parametrize(
-    ("script", "told"),
-    [
-        ("echo uv 0.4.9", "no distribution found for uv==9.0"),
-        ('case "$*" in --version) echo uv 9.0;; *) echo "error: not that"; exit 2;; esac', "error: not that"),
-    ],
-    ids=["too old", "failing"],
-)
-def test_pip_does_what_uv_can_not(
-    place: Path, uv_is: Callable, script: str, told: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_pip_does_what_uv_can_not(place: Path, uv_is: Callable, capsys: pytest.CaptureFixture[str]) -> None:
+    uv_is('case "$*" in --version) echo uv 9.0;; *) echo "error: not that"; exit 2;; esac')
+    # Where there is no uv, none is installed.
     path = place / "constraints-demo.txt"
     path.write_text(path.read_text() + f"uv==9.0 \\\n    --hash=sha256:{'0' * 64}\n")
-    uv_is(script)
     checkout.make_environment(place / ".venv", "demo")
     assert works(place / ".venv", "shown")
-    said = capsys.readouterr().out.lower().replace("no matching", "no")
-    assert f"{told}): pip does, in a minute or three." in said
+    told = "uv can't install them (error: not that): pip does, in a minute or three.\n"
+    assert told in capsys.readouterr().out
+
+
+def test_where_no_uv_can_be_had_pip_is_asked(
+    place: Path, uv_is: Callable, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    uv_is("echo uv 0.4.9")
+    monkeypatch.setattr(checkout._Venv, "_by_pip", lambda _: ["pip says no"])
+    with pytest.raises(SystemExit, match=r"pip says no\n.*could not be made"):
+        checkout.make_environment(place / ".venv", "demo")
+    assert "pip does, in a minute or three.\n" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("uv_is")

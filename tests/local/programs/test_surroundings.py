@@ -12,16 +12,18 @@ import subprocess
 import sys
 import tarfile
 import time
+import venv
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pip
 import pytest
 import yaml
 
 from slamhive.local.home.folder import lock
-from slamhive.local.programs import cores
-from slamhive.local.programs import environments as environments_module
-from slamhive.local.programs.environments import _anything_in
+from slamhive.local.programs import cores, making
+from slamhive.local.programs.interpreters import Interpreter
+from slamhive.local.programs.making import Making, _anything_in
 from slamhive.local.programs.pipcommands import explained, run_command
 from slamhive.local.programs.unavailable import Unavailable
 from slamhive.model.errors import SystemFault
@@ -45,24 +47,26 @@ def environments(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def empty_environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An environment with pip alone, which takes seconds to make."""
+    """An environment with pip alone, a copy of our own: installing it takes seconds."""
     folder = tmp_path_factory.mktemp("empty") / "environment"
-    subprocess.run([sys.executable, "-m", "venv", folder], check=True)
+    venv.create(folder, symlinks=True)
+    packages = next(folder.glob("lib/python*/site-packages"))
+    shutil.copytree(Path(pip.__file__).parent, packages / "pip")
     return folder
 
 
 @pytest.fixture
 def _copied_environments(empty_environment: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Copies that environment where another one would be made."""
-    command = environments_module.run_command
+    command = making.run_command
 
-    def call(argv: list[str], *rest: object) -> None:
+    def call(argv: list[str], *rest: object, **how: object) -> None:
         if argv[1:3] == ["-m", "venv"]:
             shutil.copytree(empty_environment, argv[-1], symlinks=True)
         else:
-            command(argv, *rest)  # type: ignore[arg-type]
+            command(argv, *rest, **how)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(environments_module, "run_command", call)
+    monkeypatch.setattr(making, "run_command", call)
 
 
 def test_modules_in_the_working_folder_are_not_ours(
@@ -160,14 +164,14 @@ Successfully installed numpy-2.3.4 typing-extensions-4.15.0
 def test_it_shows_which_packages_come(tmp_path: Path) -> None:
     requirements = tmp_path / "requirements.txt"
     requirements.write_text("numpy==2.3.4 --hash=sha256:0\ntyping-extensions==4.15.0 --hash=sha256:1\n")
-    making: dict[str, float] = {}
+    shown: dict[str, float] = {}
     seen = []
-    with environments_module._Made("x", requirements, making) as made:
-        seen.append(dict(making))
+    with Making("x", Interpreter(sys.executable, (3, 11)), requirements, shown) as made:
+        seen.append(dict(shown))
         for line in PIP_SAYS.splitlines():
             made.tell(line)
-            if seen[-1] != making:
-                seen.append(dict(making))
+            if seen[-1] != shown:
+                seen.append(dict(shown))
     what = "making the environment of x"
     assert seen == [
         {what: 0.0},
@@ -176,7 +180,7 @@ def test_it_shows_which_packages_come(tmp_path: Path) -> None:
         {f"{what}: collecting typing-extensions": 1 / 3},
         {f"{what}: installing 2 packages": 2 / 3},
     ]
-    assert making == {}
+    assert shown == {}
 
 
 def test_pip_is_followed_while_it_works(tmp_path: Path) -> None:
@@ -232,14 +236,18 @@ def test_setup_programs_of_packages_are_not_run(run_acts: Callable, told_by_setu
 
 
 @pytest.mark.usefixtures("_copied_environments")
+@pytest.mark.parametrize("tool", ["uv", "pip"])
 def test_setup_programs_that_are_allowed_see_no_secret(
     run_acts: Callable,
+    tool: str,
     home,  # noqa: ANN001
     told_by_setup: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     requirements = home.path / "algorithms/actor/requirements.txt"
     requirements.write_text(requirements.read_text() + "--no-binary sourced\n")
+    if tool == "pip":
+        monkeypatch.setattr(making, "find_uv", lambda _: None)
     kept = {"PIP_INDEX_URL": "https://mirror.test/simple", "https_proxy": "http://proxy.test:3128"}
     kept |= {"SSL_CERT_FILE": os.environ.get("SSL_CERT_FILE", "/etc/ssl/certs/ca-certificates.crt")}
     secrets = {"HF_TOKEN": "canary", "AWS_SECRET_ACCESS_KEY": "canary", "SLAMHIVE_ARCHIVE_PASSWORD": "canary"}

@@ -265,7 +265,7 @@ class _Surveyor:
         root = self._home.path / "environments"
         needed, doubt = self._needed_environments(root)
         for folder in self._folders(root):
-            if not _KEY.fullmatch(folder.name):
+            if not _KEY.fullmatch(folder.name.removesuffix(".making")):
                 continue
             if not is_whole(folder):
                 linked = self._linked(folder)

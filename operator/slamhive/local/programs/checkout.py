@@ -102,11 +102,11 @@ def make_environment(folder: Path, what: str) -> None:
         if why is None:
             return
         _say(f"{folder} {why}: it is made.")
-        _Making(folder, ROOT / PACKAGES[what], held).make(json.dumps(wanted, indent=1))
+        _Venv(folder, ROOT / PACKAGES[what], held).make(json.dumps(wanted, indent=1))
 
 
 @dataclass(frozen=True)
-class _Making:
+class _Venv:
     """The making of an environment.
 
     Attributes:

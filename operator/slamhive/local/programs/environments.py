@@ -12,15 +12,14 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slamhive.contract.environment import own_variables, program_variables
 from slamhive.local.home.catalog import bundled
 from slamhive.local.home.folder import lock
 from slamhive.local.programs.assets import place_assets
-from slamhive.local.programs.installing import Steps
 from slamhive.local.programs.interpreters import interpreter
-from slamhive.local.programs.pipcommands import run_command
+from slamhive.local.programs.making import ASIDE, MARKER, Making
 from slamhive.local.programs.playing import own_player
 from slamhive.local.programs.unavailable import Unavailable
 from slamhive.model.base import RELATIVE_PATH
@@ -34,7 +33,6 @@ if TYPE_CHECKING:
     from slamhive.local.programs.prepared import AttemptOrder, PreparedPlayer
     from slamhive.model.algorithm import LocalProgram
 
-_MARKER = ".complete"
 _TO_PROGRAMS = ("LD_LIBRARY_PATH", "SSL_CERT_FILE", "TZ")
 
 
@@ -127,6 +125,7 @@ class Environments:
         folder: where they are kept.
         notify: told in a sentence when one is being made, as that takes time.
         making: gets what is being done to make one, in words, and the share of it that is done.
+        given_up: tells whether one that is being made is wanted no more.
     """
 
     def __init__(
@@ -134,8 +133,10 @@ class Environments:
         folder: Path,
         notify: Callable[[str], None] = lambda _: None,
         making: dict[str, float] | None = None,
+        given_up: Callable[[], bool] = lambda: False,
     ) -> None:
         self._folder = folder
+        self._given_up = given_up
         self._notify = notify
         self._making = {} if making is None else making
         self._usable: set[tuple[str, Path]] = set()
@@ -169,6 +170,7 @@ class Environments:
             Unavailable: this machine can't run the algorithm, or its packages can't be had; that is found out
                 once.
             SystemFault: the packages can't be installed right now.
+            GivenUp: nobody waits for it any more.
         """
         program = _program(entry)
         if program.command is not None:
@@ -177,10 +179,10 @@ class Environments:
         python = interpreter(program, ros=entry.algorithm.spec.ros1 is not None)
         requirements = entry.folder / program.requirements
         path = self._folder / _key(python, requirements)
-        if not (path / _MARKER).exists():
+        if not (path / MARKER).exists():
             with lock(_lock_of(path)) as held:
                 # Looked at again under the lock: another slamhive may have made it while this one waited.
-                if not (path / _MARKER).exists():
+                if not (path / MARKER).exists():
                     self._make(entry.name, path, python, requirements, held)
         environment = Environment(path, self.digest(entry))
         if (entry.name, path) not in self._usable:
@@ -204,42 +206,18 @@ class Environments:
         if path in self._impossible:
             raise Unavailable(self._impossible[path])
         self._notify(f"making the environment of {name} (once)")
-        shutil.rmtree(path, ignore_errors=True)
         try:
-            with _Made(name, requirements, self._making) as made:
-                self._fill(name, path, python, requirements, held, made)
+            making = Making(name, python, requirements, self._making, held=held, given_up=self._given_up)
+            with making:
+                making.make(path)
         except Unavailable as error:
             self._impossible[path] = str(error)
             raise
-        finally:
-            if not (path / _MARKER).exists():
-                shutil.rmtree(path, ignore_errors=True)  # half of one is of no use, and may fill the disk
-
-    @staticmethod
-    def _fill(  # noqa: PLR0917 - what is told comes last
-        name: str, path: Path, python: Interpreter, requirements: Path, held: int | None, made: _Made
-    ) -> None:
-        seeing = ["--system-site-packages"] if python.beside else []
-        needed = _anything_in(requirements)
-        # pip alone takes seconds to be installed, and nobody needs it where there is nothing to install.
-        make = [python.path, "-m", "venv", *seeing, *([] if needed else ["--without-pip"]), str(path)]
-        run_command(make, f"environment of {name}", requirements.parent, held)
-        if needed:
-            Environments._install(name, path, requirements, held, made)
-        (path / _MARKER).touch()
-
-    @staticmethod
-    def _install(name: str, path: Path, requirements: Path, held: int | None, made: _Made) -> None:
-        pip = [str(path / "bin" / "python"), "-m", "pip", "--no-input", "--disable-pip-version-check"]
-        # Wheels alone: a source package runs a program of its own to install itself.
-        install = [*pip, "install", "--progress-bar", "off", "--only-binary", ":all:"]
-        wanted = ["-r", str(requirements)]
-        run_command([*install, *wanted], f"packages of {name}", requirements.parent, held, made.tell)
 
 
 def is_whole(path: Path) -> bool:
     """Tell whether an environment was made to its end."""
-    return (path / _MARKER).exists()
+    return (path / MARKER).exists()
 
 
 def remove_environment(path: Path) -> bool:
@@ -247,13 +225,13 @@ def remove_environment(path: Path) -> bool:
     with lock(_lock_of(path), wait=False) as held:
         if held is None:
             return False
-        (path / _MARKER).unlink(missing_ok=True)  # first: half of one is not to be used
+        (path / MARKER).unlink(missing_ok=True)  # first: half of one is not to be used
         shutil.rmtree(path)
     return True
 
 
 def _lock_of(path: Path) -> Path:
-    return path.with_name(f"{path.name}.lock")
+    return path.with_name(f"{path.name.removesuffix(ASIDE)}.lock")
 
 
 def _key(python: Interpreter, requirements: Path) -> str:
@@ -342,43 +320,6 @@ def _check_libraries(entry: AlgorithmEntry, program: LocalProgram, python: Path)
     if missing:
         packages = " ".join(program.system_packages)
         raise Unavailable(f"{entry.name} needs {', '.join(missing)}: apt-get install {packages}")
-
-
-class _Made:
-    """Progress of making an environment, shown to those who wait for it; a context manager.
-
-    Args:
-        name: of the algorithm.
-        requirements: its packages.
-        making: gets it in words, and the share of it that is done.
-    """
-
-    def __init__(self, name: str, requirements: Path, making: dict[str, float]) -> None:
-        self._what = self._said = f"making the environment of {name}"
-        self._pip = Steps(requirements)
-        self._making = making
-
-    def __enter__(self) -> Self:
-        self._making[self._said] = 0.0
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._making.pop(self._said, None)
-
-    def tell(self, line: str) -> None:
-        """Take a line that pip printed."""
-        step = self._pip.step(line)
-        if step is not None:
-            self._making.pop(self._said, None)
-            self._said = f"{self._what}: {step.what}"
-            self._making[self._said] = step.share
-
-
-def _anything_in(requirements: Path) -> bool:
-    """Tell whether a file of requirements has more than comments."""
-    # As bytes: pip reads encodings that we need not know.
-    lines = (line.strip() for line in requirements.read_bytes().splitlines())
-    return any(line and not line.startswith(b"#") for line in lines)
 
 
 def _sha256(path: Path) -> str:

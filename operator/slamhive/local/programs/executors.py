@@ -59,6 +59,7 @@ class Programs:
         container: what the user says of containers; None: they are for algorithms that have nothing else.
         notify: told in a sentence of what takes long.
         making: gets what is being made, in words, and the share of it that is done.
+        given_up: tells whether what is being made is wanted no more.
     """
 
     def __init__(
@@ -67,10 +68,11 @@ class Programs:
         container: ContainerChoice | None = None,
         notify: Callable[[str], None] = lambda _: None,
         making: dict[str, float] | None = None,
+        given_up: Callable[[], bool] = lambda: False,
     ) -> None:
         self._choice = container
         # Both are there whatever the choice: it is made for each algorithm, by what its manifest has.
-        self.environments = Environments(home.folder("environments"), notify, making)
+        self.environments = Environments(home.folder("environments"), notify, making, given_up)
         self.containers = Containers(home, container, notify)
 
     def executor(self, entry: AlgorithmEntry) -> str:

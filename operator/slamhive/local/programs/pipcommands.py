@@ -1,22 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands that make environments, `venv` and pip: what they are given, and why one failed."""
+"""Commands that make environments, `venv`, pip and uv: what they are given, and why one failed."""
 
 from __future__ import annotations
 
 import os
 import re
+import select
+import signal
 import subprocess
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, cast
 
 from slamhive.contract.environment import own_variables
-from slamhive.local.programs.unavailable import Unavailable
+from slamhive.local.programs.unavailable import GivenUp, Unavailable
+from slamhive.local.programs.uv import uv_variables
 from slamhive.local.programs.words import Words
 from slamhive.model.errors import SlamHiveError, SystemFault
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
+_LOOK_SECONDS = 0.25
 _NOT_THERE = ("ERROR: No matching distribution found", "ERROR: Could not find a version")
 _PASSING = re.compile(
     r"Retrying|[Cc]onnection|[Tt]imed out|[Tt]imeout|[Tt]emporary failure|SSL|Proxy|HTTP error|unreachable"
@@ -28,6 +32,7 @@ _BROKEN = re.compile(r"after connection broken by '(\w+)")
 _NO_WHEEL = re.compile(r"No matching distribution found for ([\w.-]+).*")
 _PASSED_ON = re.compile(
     r"PATH|HOME|USER|LOGNAME|LANG|LC_\w+|TZ|TMPDIR|LD_LIBRARY_PATH|XDG_(CONFIG|CACHE)_(HOME|DIRS)|PIP_\w+"
+    r"|UV_(?!PUBLISH)\w+"
     r"|(HTTPS?|ALL|NO)_PROXY|(https?|all|no)_proxy|SSL_CERT_(FILE|DIR)|(REQUESTS|CURL)_CA_BUNDLE"
 )
 
@@ -38,6 +43,9 @@ def run_command(
     folder: Path,
     held: int | None = None,
     tell: Callable[[str], None] | None = None,
+    *,
+    together: bool = False,
+    given_up: Callable[[], bool] = lambda: False,
 ) -> None:
     """Run a command in a folder.
 
@@ -48,34 +56,54 @@ def run_command(
         held: descriptor of a lock that it shall hold as long as it runs: it may outlive a slamhive that is
             killed, and another one must not begin to make the same meanwhile.
         tell: given each line of its standard output, which then says nothing of errors.
+        together: whether it is given what comes on standard error too: uv prints nowhere else.
+        given_up: tells whether what it makes is wanted no more.
+
+    Raises:
+        SlamHiveError: it failed.
+        GivenUp: it was given up, and ended.
     """
-    words, printed = Words(), []
+    words = Words()
+    printed: list[str] = []
     try:
         process = subprocess.Popen(
             argv,
-            text=True,
-            errors="replace",
             cwd=folder,
             env=_surroundings(),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
-            stderr=words.descriptor,
+            stderr=subprocess.STDOUT if together else words.descriptor,
             pass_fds=() if held is None else (held,),
+            # Ctrl-C is ours to hear: it would take this for a failure, and try otherwise.
+            process_group=0,
         )
     except OSError as error:
         raise SystemFault(f"{what}: {error}") from None
     with process:
         try:
-            for line in process.stdout or ():
-                if tell is None:
-                    printed.append(line)
-                else:
-                    tell(line.rstrip())
+            for line in _lines(process, what, given_up):
+                (tell or printed.append)(line)
         except BaseException:
-            process.kill()
+            os.killpg(process.pid, signal.SIGKILL)
             raise
     if process.returncode != 0:
-        raise explained(what, words.text() + "".join(printed), by_itself=process.returncode > 0)
+        told = "\n".join([words.text(), *printed])
+        raise explained(what, told, by_itself=process.returncode > 0)
+
+
+def _lines(process: subprocess.Popen[bytes], what: str, given_up: Callable[[], bool]) -> Iterator[str]:
+    """Yield the lines that a process prints, and look up now and then."""
+    pipe, pending = cast("IO[bytes]", process.stdout).fileno(), b""
+    while True:
+        if given_up():
+            raise GivenUp(what)
+        if select.select([pipe], [], [], _LOOK_SECONDS)[0]:
+            if not (read := os.read(pipe, 1 << 16)):
+                break
+            *whole, pending = (pending + read).split(b"\n")
+            yield from (line.decode(errors="replace").rstrip() for line in whole)
+    if pending:
+        yield pending.decode(errors="replace")
 
 
 def explained(what: str, told: str, *, by_itself: bool) -> SlamHiveError:
@@ -116,4 +144,5 @@ def _surroundings() -> dict[str, str]:
     Packages may bring programs of their own for their setup: tokens and keys that are ours are not for them,
     nor what makes Python import what merely lies about.
     """
-    return own_variables(filter(_PASSED_ON.fullmatch, os.environ)) | {"PYTHONSAFEPATH": "1"}
+    passed = own_variables(filter(_PASSED_ON.fullmatch, os.environ))
+    return passed | uv_variables(passed) | {"PYTHONSAFEPATH": "1"}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The word of all executors that an algorithm can't run on this machine."""
+"""Words of all executors: that an algorithm can't run on this machine, or isn't wanted any more."""
 
 from __future__ import annotations
 
@@ -16,3 +16,7 @@ class ImageMissing(SlamHiveError):  # noqa: N818 - as above
     """An algorithm's image can't be had; the message says why."""
 
     reason = "ImagePullFailed"
+
+
+class GivenUp(BaseException):
+    """End of the making of a dataset, recording or environment that nobody waits for; no run has failed."""

@@ -20,11 +20,11 @@ from slamhive.local.home.changes import set_aside
 from slamhive.local.home.claims import Claims
 from slamhive.local.home.leases import LeaseKind
 from slamhive.local.programs.cores import CorePool
+from slamhive.local.programs.unavailable import GivenUp
 from slamhive.local.running.attempt import end_left_behind
 from slamhive.local.running.choosing import RunChoice, first_of, twins_among
 from slamhive.local.running.execution import AtWorkElsewhere, RunDriver, RunOrder, RunStep
 from slamhive.local.running.outlook import Looking, Outlook, RunStanding
-from slamhive.local.running.workbench import GivenUp, Workbench
 from slamhive.model.results import Phase, RunRecord
 from slamhive.model.sweep import CachePolicy
 from slamhive.monitor import sweep_stale_cgroups
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from slamhive.engine import SweepDecision
     from slamhive.local.running.costs import Combinations
     from slamhive.local.running.execution import PlannedPoint
+    from slamhive.local.running.workbench import Workbench
     from slamhive.model.sweep import Sweep
 
 _LOOK_SECONDS = 0.25
@@ -209,7 +210,7 @@ class Runner:
         """Start nothing more and end what runs; safe to call from a signal handler.
 
         Args:
-            making: whether datasets and recordings that are being made are given up too.
+            making: whether datasets, recordings and environments that are being made are given up too.
         """
         self._interrupted = True
         self._bench.gives_up = making

@@ -16,6 +16,7 @@ from slamhive.data.store.datasets import DatasetEntry, dataset_sha256, materiali
 from slamhive.data.store.groundtruth import ground_truth
 from slamhive.local.programs.environments import digest_of
 from slamhive.local.programs.executors import Programs
+from slamhive.local.programs.unavailable import GivenUp
 from slamhive.local.programs.versions import Versions
 from slamhive.model.base import quantity
 from slamhive.model.errors import InputError
@@ -54,10 +55,6 @@ class ProgramHashes(NamedTuple):
     image_id: str | None = None
 
 
-class GivenUp(BaseException):
-    """End of the making of a dataset or a recording that nobody waits for any more; no run has failed."""
-
-
 class Workbench:
     """The tools that all runs use.
 
@@ -83,8 +80,8 @@ class Workbench:
         self.making: dict[str, float] = {}
         """Things being made that runs wait for, in words, each with the share of it that is done."""
         self.gives_up = False
-        """Datasets and recordings that are being made are wanted no more."""
-        self.programs = Programs(home, container, notify, self.making)
+        """Datasets, recordings and environments that are being made are wanted no more."""
+        self.programs = Programs(home, container, notify, self.making, lambda: self.gives_up)
         self.versions = Versions(home.path / "versions")
         self._notify = notify
         self._datasets: dict[str, DatasetEntry] = {}
