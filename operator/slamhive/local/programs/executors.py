@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from slamhive.local.programs.containers import Containers
 from slamhive.local.programs.engines import ContainerChoice
-from slamhive.local.programs.environments import Environments, availability
+from slamhive.local.programs.environments import Environments, availability, is_whole
 from slamhive.local.programs.unavailable import Unavailable
 from slamhive.model.algorithm import Pace
 
@@ -104,6 +104,15 @@ class Programs:
             SystemFault: it can't be made ready right now.
         """
         return self._of(entry).get(entry, pace)
+
+    def is_to_make(self, entry: AlgorithmEntry) -> bool:
+        """Tell whether an algorithm has an environment that isn't there yet.
+
+        Raises:
+            Unavailable: this machine can't run it.
+        """
+        folder = None if self.executor(entry) == CONTAINER else self.environments.folder_of(entry)
+        return folder is not None and not is_whole(folder)
 
     def fetch(self, entries: Iterable[AlgorithmEntry]) -> None:
         """Pull the images that aren't there; what can't be pulled is told of by the runs that need it."""

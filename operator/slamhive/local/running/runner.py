@@ -21,6 +21,7 @@ from slamhive.local.home.claims import Claims
 from slamhive.local.home.leases import LeaseKind
 from slamhive.local.programs.cores import CorePool
 from slamhive.local.programs.unavailable import GivenUp
+from slamhive.local.running.ahead import make_ahead, missing
 from slamhive.local.running.attempt import end_left_behind
 from slamhive.local.running.choosing import RunChoice, first_of, twins_among
 from slamhive.local.running.execution import AtWorkElsewhere, RunDriver, RunOrder, RunStep
@@ -31,7 +32,7 @@ from slamhive.monitor import sweep_stale_cgroups
 from slamhive.plan import whole_cores
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
     from slamhive.engine import SweepDecision
     from slamhive.local.running.costs import Combinations
@@ -109,6 +110,18 @@ class Job:
         """Return the identity of the run whose result a point's run takes, as it asks for the same."""
         twin = self.twins.get(index)
         return None if twin is None else self.run_uid(twin)
+
+    def next_of(self, algorithms: Collection[str]) -> list[str]:
+        """Return those of some algorithms that are still to run, that which is run first the first."""
+        found: dict[str, None] = {}
+        equal = set(self.outlook.of(RunStanding.EQUAL) if self.outlook is not None else ())
+        for index in self.order if algorithms else ():
+            if self.states[index] == PointState.PENDING and index not in equal:
+                name = self.points.point(index).short_spec["algorithm"] or ""
+                found |= {name: None} if name in algorithms else {}
+            if len(found) == len(algorithms):
+                break
+        return list(found)
 
     def make_pending(self, index: int) -> None:
         """Have a point begin again that has begun."""
@@ -271,6 +284,9 @@ class Runner:
 
     def _lead(self, job: Job, jobs: Sequence[Job]) -> None:
         job.started_at = time.monotonic()
+        names = job.next_of(missing(self._bench, job.points.algorithm_names()))
+        stopped, most = (lambda: job.uid in self._stopped), job.at_a_time - 1
+        self._threads += make_ahead(names, self._bench, self._cores, most, stopped)
         while True:
             decision = self._decide(job)
             job.cursor = decision.cursor
