@@ -6,6 +6,7 @@ from __future__ import annotations
 import http.server
 import json
 import os
+import sys
 import threading
 import time
 import uuid
@@ -17,16 +18,12 @@ import pytest
 from slamhive.archive import Archive
 from slamhive.archive.keeping import backup, restore
 from slamhive.data.files.once import in_use
-from slamhive.jobs.asking import all_known
-from slamhive.jobs.known import NamesInUse, known_to
-from slamhive.kube.api.errors import Forbidden
-from slamhive.kube.api.kinds import Kind
+from slamhive.jobs.known import NamesInUse, all_pages, known_to
+from slamhive.model.errors import SystemFault
 from slamhive.model.results import Phase, RunRecord
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from slamhive.kube.api.transport import Request
 
 ALIVE, GONE, ARCHIVED = (str(uuid.UUID(int=number)) for number in (1, 2, 3))
 KEEP, DROP = "a" * 32, "b" * 32
@@ -454,41 +451,45 @@ def a_run(uid: str, *, files: str | None = None, **status: Any) -> dict[str, Any
     ],
 )
 def test_a_run_needs_the_folder_of_its_result_until_it_may_go(run: Any, known: set[str]) -> None:
-    assert known_to([], [], [run]).runs == known
+    listed = {"algorithms": [], "datasets": [], "mappingruns": [run]}
+    assert known_to(listed.__getitem__).runs == known
 
 
-class Asked:
-    """An API with these objects, which may not list some."""
-
-    def __init__(self, *forbidden: Kind) -> None:
-        self._forbidden = forbidden
-
-    async def json(self, request: Request) -> Any:
-        assert request.path == "/api/v1/namespaces/lab"
-        return {"metadata": {"uid": "u-1"}}
-
-    async def list(self, kind: Kind, namespace: str) -> Any:
-        assert namespace == "lab"
-        if kind in self._forbidden:
-            raise Forbidden(f"cannot list {kind.resource}")
-        return OBJECTS[kind.plural], "7"
-
-
-async def test_objects_say_what_is_known() -> None:
-    assert await all_known("lab", Asked()) == NamesInUse(  # type: ignore[arg-type]
-        runs=frozenset({ALIVE}),
-        datasets=frozenset({"hall", "new", "bare"}),
-        variants=frozenset({KEEP, DROP}),
-        assets=frozenset({"c" * 64}),
-        namespace_uid="u-1",
+def test_objects_say_what_is_known() -> None:
+    assert known_to(OBJECTS.__getitem__) == NamesInUse(
+        frozenset({ALIVE}), frozenset({"hall", "new", "bare"}), frozenset({KEEP, DROP}), frozenset({"c" * 64})
     )
 
 
-@pytest.mark.parametrize("kind", [Kind.ALGORITHM, Kind.DATASET, Kind.MAPPING_RUN])
-async def test_what_may_not_be_listed_is_not_taken_for_unknown(kind: Kind) -> None:
-    asking = all_known("lab", Asked(kind))  # type: ignore[arg-type]
-    if kind is Kind.ALGORITHM:
-        assert (await asking).assets is None
+@pytest.mark.parametrize("plural", list(OBJECTS))
+def test_what_may_not_be_listed_is_not_taken_for_unknown(plural: str) -> None:
+    def listing(wanted: str) -> Any:
+        if wanted == plural:
+            raise PermissionError(plural)
+        return OBJECTS[wanted]
+
+    if plural == "algorithms":
+        assert known_to(listing).assets is None
     else:
-        with pytest.raises(Forbidden, match=kind.plural):
-            await asking
+        with pytest.raises(SystemFault, match=plural):
+            known_to(listing)
+
+
+def test_a_list_of_many_pages_is_read_to_its_end_or_not_at_all() -> None:
+    calls = []
+
+    def page(token: str | None, expires: int) -> Any:
+        number = int(token or 0)
+        calls.append(number)
+        if number == 2 and calls.count(2) <= expires:
+            raise TimeoutError
+        return {"items": [number], "metadata": {"continue": str(number + 1) if number < 3 else ""}}
+
+    assert all_pages(lambda token: page(token, 0), "runs") == [0, 1, 2, 3]
+    calls.clear()
+    assert all_pages(lambda token: page(token, 1), "runs") == [0, 1, 2, 3]
+    calls.clear()
+    with pytest.raises(SystemFault, match="too old"):
+        all_pages(lambda token: page(token, sys.maxsize), "runs")
+    with pytest.raises(SystemFault, match="no list"):
+        all_pages(lambda _: {}, "runs")

@@ -20,8 +20,8 @@ import pytest
 
 from slamhive.analysis.subjects import Surroundings, subject_of
 from slamhive.archive import Archive
-from slamhive.kube.protocol.lines import Decoder
-from slamhive.kube.protocol.requests import RunItem
+from slamhive.jobs.lines import decode
+from slamhive.jobs.requests import RunItem
 from slamhive.kube.reports import read_description
 from slamhive.local.home.catalog import Workshop
 from slamhive.local.running.evaluating import TrajectoryEvaluator
@@ -86,7 +86,7 @@ def evaluate(pod: Any, runs: Any, *options: str, evaluation: Any = None, **popen
     request = {"evaluation": evaluation, "settings": SETTINGS, "runs": runs}
     ended = pod.run("evaluate", *options, request=request, **popen)
     assert ended.code == 0, ended.stderr
-    found = Decoder(ended.stdout)
+    found = decode(ended.stdout)
     assert (found.total, found.missing, found.damaged) == (len(runs), [], 0)
     lines = (pod.root / "output" / "results.jsonl").read_text().splitlines()
     records = [found.records[number] for number in range(len(runs))]
@@ -447,7 +447,7 @@ def test_the_documented_evaluator_measures(pod: Any, walked: str) -> None:
     request = {"evaluation": "ends", "settings": {}, "runs": runs}
     assert pod.run("evaluate", "--links", request=request).code == 0
     subprocess.run([sys.executable, "-c", script], check=True, env=os.environ | {"ROOT": str(pod.root)})
-    first, second, third = Decoder(pod.run("report").stdout).records.values()
+    first, second, third = decode(pod.run("report").stdout).records.values()
     assert first["result"]["values"] == {"endErrorMetres": 0.0}
     assert second["result"]["values"]["endErrorMetres"] == pytest.approx(0.25)
     assert "index out of range" in third["error"]

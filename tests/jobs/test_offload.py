@@ -18,7 +18,7 @@ import pytest
 from buckets import S3, make_place
 
 from slamhive.archive import Archive
-from slamhive.jobs import asking, moving, offload
+from slamhive.jobs import collect, moving, offload
 from slamhive.model.results import Phase, RunRecord
 from slamhive.storage.state import read_state
 from slamhive.storage.store import PART_BYTES, ObjectStorage, StorageUnavailable
@@ -357,7 +357,7 @@ def test_the_cronjob_says_why_nothing_is_moved(
     lab: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, gone: str, reason: str
 ) -> None:
     told: list[tuple[Any, ...]] = []
-    monkeypatch.setattr(asking, "tell_cronjob", lambda *given, **named: told.append((*given, named)))
+    monkeypatch.setattr(collect, "tell_cronjob", lambda *given, **named: told.append((*given, named)))
     monkeypatch.setenv("SLAMHIVE_TERMINATION_LOG", str(tmp_path / "last"))
     if gone == "the bucket":
         lab.store_options = replace(lab.place, url=f"{lab.place.url}-none".replace("lab-", "no-")).settings(

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from slamhive.jobs.lines import decode
 from slamhive.jobs.report import report
-from slamhive.kube.protocol.lines import Decoder
-from slamhive.kube.protocol.requests import EvaluateRequest
+from slamhive.jobs.requests import EvaluateRequest
 from slamhive.kube.reports import read_report
 
 RUNS = [{"uid": f"uid-{name}", "name": name} for name in ("a", "b", "c")]
@@ -96,7 +96,7 @@ def test_the_program_reports_what_lies_there(pod: Any) -> None:
     (pod.root / "output" / "results.jsonl").write_text(lines_of({"name": "b", "outcome": "Lost", "x": 1}))
     ended = pod.run("report", request=REQUEST)
     assert (ended.code, ended.told["failed"]) == (0, 2)
-    found = Decoder(ended.stdout)
+    found = decode(ended.stdout)
     assert found.is_complete
     assert found.records[1]["result"]["values"] == {"x": 1}
 

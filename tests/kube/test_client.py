@@ -188,16 +188,6 @@ async def test_a_list_that_expires_begins_anew(api: Api, script: Script) -> None
     assert "limit" not in script.asked[-1][1]
 
 
-async def test_a_list_that_always_expires_or_is_none_is_no_empty_one(api: Api, script: Script) -> None:
-    for _ in range(3):
-        script.say(410, {"reason": "Expired"})
-    with pytest.raises(errors.Expired):
-        await api.list(Kind.JOB, "lab")
-    script.say(200, {"metadata": {"resourceVersion": "7"}})
-    with pytest.raises(errors.ServerFault, match="no list"):
-        await api.list(Kind.JOB, "lab")
-
-
 async def test_a_create_whose_answer_was_lost_finds_its_object(api: Api, script: Script) -> None:
     script.answers.append(CUT)
     script.say(409, {"reason": "AlreadyExists", "message": 'mappingruns "demo" already exists'})

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from testcluster.kept import ALGORITHM, DATASET, GRACE, READY, RUN, Cluster, catalogued, standing
 
+from slamhive.jobs.lines import encode_all
 from slamhive.jobs.report import report
+from slamhive.jobs.requests import EvaluateRequest, RunItem
 from slamhive.kube.api.errors import Forbidden, Invalid, ServerFault
 from slamhive.kube.api.kinds import Key, Kind, Label
-from slamhive.kube.protocol.lines import encode_all
-from slamhive.kube.protocol.requests import EvaluateRequest, RunItem
 from slamhive.kube.records import NOT_EVALUABLE, record_of
 from slamhive.kube.settings import EvaluationJobs
 from slamhive.kube.status import iso

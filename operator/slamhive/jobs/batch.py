@@ -26,7 +26,7 @@ from slamhive.contract.trajectory import TRAJECTORY
 from slamhive.jobs.machine import free_memory, usable_cores
 from slamhive.jobs.opening import opened
 from slamhive.jobs.program import parse
-from slamhive.kube.protocol.requests import RunItem
+from slamhive.jobs.requests import RunItem
 from slamhive.model.errors import DataError, SlamHiveError
 from slamhive_eval import (
     ControlPoints,

@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING
 
 from slamhive.data.files.erasing import erase
 from slamhive.data.files.once import evict, last_use, remove_free
-from slamhive.jobs.known import archived, known_by_file
+from slamhive.jobs.known import archived, known_by_file, known_to_api, tell_cronjob
 from slamhive.jobs.ownership import Owner, claim
 from slamhive.jobs.program import arguments, run_program
 from slamhive.jobs.trash import OFFLOADED, outdated, throw_away
@@ -92,7 +92,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--cronjob", help="CronJob that an Event is attached to when nothing is removed")
     parser.add_argument("--dry-run", action="store_true", help="print what would be removed")
-    parser.add_argument("--kubeconfig", type=Path, help="how to reach the API (default: the pod's account)")
+    parser.add_argument("--kubeconfig", help="how to reach the API (default: the pod's account)")
     parser.add_argument("--known", type=Path, help="JSON file to ask in the place of the API")
     options = parser.parse_args(argv)
     return run_program(lambda: _work(options))
@@ -171,8 +171,6 @@ def known_now(options: argparse.Namespace) -> NamesInUse:
     """
     if options.known:
         return known_by_file(options.known)
-    from slamhive.jobs.asking import known_to_api  # noqa: PLC0415 - takes a second and is not always asked
-
     return known_to_api(options.namespace, options.kubeconfig)
 
 
@@ -185,8 +183,6 @@ def tell_owner(options: argparse.Namespace, message: str, reason: str) -> None:
         reason: the same, in one word.
     """
     if options.cronjob:
-        from slamhive.jobs.asking import tell_cronjob  # noqa: PLC0415 - as above
-
         try:
             tell_cronjob(options.namespace, options.cronjob, message, options.kubeconfig, reason=reason)
         except SystemFault as trouble:

@@ -2,7 +2,7 @@
 """Program of the evaluator's Job: measures finished runs, or lays out their folders for another evaluator.
 
 ``python3 -P -m slamhive.jobs.evaluate [--links]``. Results go to ``output/results.jsonl``, which is whole
-when it exists, and to stdout as lines of `slamhive.kube.protocol.lines`, each as soon as it is there.
+when it exists, and to stdout as lines of `slamhive.jobs.lines`, each as soon as it is there.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from slamhive.contract.environment import THREAD_VARIABLES
+from slamhive.jobs.lines import encode
 from slamhive.jobs.program import arguments, parse, read_request, run_program, write_aside
-from slamhive.kube.protocol.lines import encode
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from slamhive.kube.protocol.requests import EvaluateRequest
+    from slamhive.jobs.requests import EvaluateRequest
 
 RESULTS = "results.jsonl"
 
@@ -40,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _request(root: Path) -> EvaluateRequest:
-    from slamhive.kube.protocol.requests import EvaluateRequest  # noqa: PLC0415 - imports numpy
+    from slamhive.jobs.requests import EvaluateRequest  # noqa: PLC0415 - imports numpy
 
     return parse(EvaluateRequest, read_request(root), "request")
 
@@ -75,7 +75,7 @@ def _datasets(runs: Sequence[dict[str, Any]]) -> list[str]:
 
 def _link(root: Path) -> str:
     """Make ``runs/NAME`` lead to each run's folder."""
-    from slamhive.kube.protocol.requests import RunItem  # noqa: PLC0415 - imports numpy
+    from slamhive.jobs.requests import RunItem  # noqa: PLC0415 - imports numpy
 
     folder = root / "runs"
     folder.mkdir(exist_ok=True)

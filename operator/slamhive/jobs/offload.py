@@ -76,7 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--cronjob", help="CronJob that an Event is attached to when nothing is moved")
     parser.add_argument("--dry-run", action="store_true", help="print what would be moved")
-    parser.add_argument("--kubeconfig", type=Path, help="how to reach the API (default: the pod's account)")
+    parser.add_argument("--kubeconfig", help="how to reach the API (default: the pod's account)")
     parser.add_argument("--known", type=Path, help="JSON file to ask in the place of the API")
     options = parser.parse_args(argv)
     return run_program(lambda: _work(options))

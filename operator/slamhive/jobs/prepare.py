@@ -23,7 +23,7 @@ from slamhive.data.store.datasets import materialise
 from slamhive.data.store.groundtruth import ground_truth, write_ground_truth
 from slamhive.jobs.messages import described
 from slamhive.jobs.program import Refused, arguments, parse, read_request, run_program, write_aside
-from slamhive.kube.protocol.requests import PrepareRequest
+from slamhive.jobs.requests import PrepareRequest
 from slamhive.model.errors import DataError
 from slamhive.model.results import Reason
 from slamhive.model.variant import VariantDescription
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from slamhive.data.making.preparation import Variant
     from slamhive.data.recordings.entries import DatasetEntry
     from slamhive.data.store.groundtruth import GroundTruthPoses
-    from slamhive.kube.protocol.requests import FetchedAsset
+    from slamhive.jobs.requests import FetchedAsset
     from slamhive.model.dataset import Dataset
 
 _TELL_SECONDS = 5.0

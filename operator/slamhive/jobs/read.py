@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from slamhive.jobs.opening import read_bytes
 from slamhive.jobs.program import arguments, parse, read_request, run_program
-from slamhive.kube.protocol.requests import ReadRequest
+from slamhive.jobs.requests import ReadRequest
 from slamhive.model.errors import DataError
 from slamhive.monitor.pod.termination import termination_message
 

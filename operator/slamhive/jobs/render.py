@@ -15,7 +15,7 @@ import yaml
 
 from slamhive.contract.environment import SETTINGS_FOLDER
 from slamhive.jobs.program import arguments, parse, read_request, run_program
-from slamhive.kube.protocol.requests import RenderRequest
+from slamhive.jobs.requests import RenderRequest
 from slamhive.model.configuration import RunConfiguration
 from slamhive.model.results import Reason
 from slamhive.templating import place_files, render

@@ -16,10 +16,10 @@ import json
 import sys
 from typing import TYPE_CHECKING, Any
 
+from slamhive.jobs.lines import encode_all
 from slamhive.jobs.opening import read_bytes
 from slamhive.jobs.program import arguments, parse, read_request, run_program
-from slamhive.kube.protocol.lines import encode_all
-from slamhive.kube.protocol.requests import EvaluateRequest
+from slamhive.jobs.requests import EvaluateRequest
 from slamhive.model.errors import InputError
 from slamhive.model.reported import problem_of_values
 from slamhive.model.results import Outcome, Result

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from slamhive.data.files.erasing import erase
 from slamhive.jobs.program import add_store, arguments, parse, read_request, run_program
-from slamhive.kube.protocol.requests import RestoreRequest
+from slamhive.jobs.requests import RestoreRequest
 from slamhive.model.errors import DataError
 from slamhive.storage.offloaded import folder_of
 from slamhive.storage.reading import Bucket

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
     from slamhive.storage.offloaded import StoredFile
 
+COMMAND = ("python3", "-P", "-m", "slamhive.jobs.send")
 
 _FOLDER = re.compile(r"runs/[A-Za-z0-9-]+/[A-Za-z0-9-]+")
 _CHUNK = 1 << 18

@@ -7,7 +7,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.measuring import settings_hash
-from slamhive.kube.protocol.lines import encode_all
+from slamhive.jobs.lines import encode_all
 from slamhive.model.evaluation import EvaluationSettings
 
 if TYPE_CHECKING:

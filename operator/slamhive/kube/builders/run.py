@@ -13,6 +13,7 @@ import yaml
 
 from slamhive.contract.environment import SETTINGS_FOLDER, program_variables
 from slamhive.contract.posefiles import FRAMES
+from slamhive.jobs.requests import RenderRequest
 from slamhive.kube.api.kinds import Kind, reference
 from slamhive.kube.builders.common import (
     Manifest,
@@ -34,7 +35,6 @@ from slamhive.kube.builders.common import (
     variables,
 )
 from slamhive.kube.builders.request import module
-from slamhive.kube.protocol.requests import RenderRequest
 from slamhive.model.base import quantity, seconds
 from slamhive.model.errors import InputError
 from slamhive.model.variant import VariantDescription

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from slamhive.jobs.send import COMMAND
 from slamhive.kube.builders.common import (
     Manifest,
     claim,
@@ -13,7 +14,7 @@ from slamhive.kube.builders.common import (
     mount,
     variables,
 )
-from slamhive.kube.builders.request import ENVIRONMENT, TMP, module, request_job
+from slamhive.kube.builders.request import ENVIRONMENT, TMP, request_job
 from slamhive.kube.builders.restoring import store_mounts, store_volumes
 from slamhive.model.errors import InputError
 
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from slamhive.kube.settings import StoreReference
 
 SEND = "send"
-SEND_COMMAND = module(SEND)
 RESULTS = "results"
 
 _LONGEST_SECONDS = 24 * 3600
@@ -65,7 +65,7 @@ def sender_job(
         SEND,
         ours["image"],
         ours.get("imagePullPolicy", "IfNotPresent"),
-        command=[*SEND_COMMAND, "--wait", str(_UNASKED_SECONDS)],
+        command=[*COMMAND, "--wait", str(_UNASKED_SECONDS)],
         env=variables(ENVIRONMENT | {"PYTHONDONTWRITEBYTECODE": "1"}),
         mounts=[
             mount(RESULTS, "/slamhive/results", read_only=True),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.data.files.https import CERTIFICATES
 from slamhive.data.recordings.version import VERSION
+from slamhive.jobs.requests import FetchedAsset, PrepareRequest
 from slamhive.kube.builders.common import (
     Manifest,
     claim,
@@ -20,7 +21,6 @@ from slamhive.kube.builders.common import (
     variables,
 )
 from slamhive.kube.builders.request import KEPT_SECONDS, REQUEST, TMP, module, request_job
-from slamhive.kube.protocol.requests import FetchedAsset, PrepareRequest
 from slamhive.model.base import ObjectMeta, seconds
 from slamhive.model.canonical import digest, normalize
 from slamhive.model.catalogue import FOLDERS

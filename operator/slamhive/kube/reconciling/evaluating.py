@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 from slamhive.analysis.subjects import Surroundings, subject_of
 from slamhive.contract.trajectory import TRAJECTORY
 from slamhive.engine import AttemptState
+from slamhive.jobs.requests import EvaluateRequest, RunItem
 from slamhive.kube.api.errors import REFUSALS, AlreadyExists
 from slamhive.kube.api.kinds import Key, Kind, Object, Role, annotations_of, key_of
 from slamhive.kube.builders import batches, evaluator_job
 from slamhive.kube.observing import observe_job
 from slamhive.kube.pods import is_deleted
-from slamhive.kube.protocol.requests import EvaluateRequest, RunItem
 from slamhive.kube.reconciling import variants
 from slamhive.kube.reconciling.evaluation_groups import EvaluationGroup, GroupMemory, group_of, key_for
 from slamhive.kube.reconciling.evaluation_status import evaluation_status, is_missing, problem_of

@@ -10,9 +10,9 @@ import asyncio
 import logging
 from typing import TYPE_CHECKING
 
+from slamhive.jobs.lines import Decoder
 from slamhive.kube.api.errors import ApiError, NotFound
 from slamhive.kube.api.kinds import Key, Kind, Object, annotations_of, key_of
-from slamhive.kube.protocol.lines import Decoder
 from slamhive.kube.reconciling.evaluation_status import is_full, is_missing, problem_of, with_problem
 from slamhive.kube.status import condition, display, result_field, status_patch
 from slamhive.model.errors import SlamHiveError
@@ -38,7 +38,7 @@ async def take_results(cluster: Cluster, group: EvaluationGroup, job: Object, se
     problem = seen.problem[1] if seen.problem else None
     if seen.pod is not None:
         try:
-            decoder = Decoder(await cluster.api.logs(group.key.namespace, seen.pod, seen.container))
+            decoder.add(await cluster.api.logs(group.key.namespace, seen.pod, seen.container))
         except ApiError as error:
             if error.retryable:  # it says nothing about the evaluator
                 raise

@@ -9,13 +9,14 @@ from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from slamhive.jobs.send import COMMAND
 from slamhive.kube.api.errors import ApiError, Forbidden, NotFound
 from slamhive.kube.api.kinds import Key, Kind, Object
 from slamhive.kube.api.transport import Request
 from slamhive.kube.builders.common import label
 from slamhive.kube.builders.restoring import store_words
 from slamhive.kube.builders.run import job_name
-from slamhive.kube.builders.sending import SEND, SEND_COMMAND, sender_job
+from slamhive.kube.builders.sending import SEND, sender_job
 from slamhive.kube.settings import StoreReference
 from slamhive.kube.user.connecting import ClusterError
 from slamhive.kube.user.queries import name_of, status_of
@@ -62,7 +63,7 @@ class SenderPod:
             ServerFault: it does not answer.
         """
         with _explained():
-            command = [*SEND_COMMAND, *(store_words(self.store) if self.store else [])]
+            command = [*COMMAND, *(store_words(self.store) if self.store else [])]
             found = self.cluster.api.executing(self.cluster.namespace, self.name, SEND, command)
             async with found as session:
                 yield session

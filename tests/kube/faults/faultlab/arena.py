@@ -20,11 +20,11 @@ from testcluster.lab import Lab
 
 from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
 from slamhive.archive import Archive
+from slamhive.jobs.lines import encode_all
+from slamhive.jobs.requests import EvaluateRequest
 from slamhive.kube.api.client import Api
 from slamhive.kube.api.kinds import Kind, Label, Object
 from slamhive.kube.api.transport import Request
-from slamhive.kube.protocol.lines import encode_all
-from slamhive.kube.protocol.requests import EvaluateRequest
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine

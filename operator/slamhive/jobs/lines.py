@@ -53,21 +53,17 @@ def _line(sequence: int, total: int, text: str) -> str:
 class Decoder:
     """Takes a log as it comes, and knows which records are still missing.
 
-    Args:
-        log: what there is of it; more can be added.
-
     Attributes:
         total: number of records there are; None before the first sound line.
         records: the whole ones by their number.
         damaged: lines that began as ours and can't be used.
     """
 
-    def __init__(self, log: str = "") -> None:
+    def __init__(self) -> None:
         self.total: int | None = None
         self.records: dict[int, dict[str, Any]] = {}
         self.damaged = 0
         self._pieces: dict[int, dict[int, str]] = {}
-        self.add(log)
 
     @property
     def missing(self) -> list[int]:
@@ -113,6 +109,13 @@ class Decoder:
             return None
         del self._pieces[sequence]
         return json.loads("".join(pieces[k] for k in sorted(pieces)))
+
+
+def decode(log: str) -> Decoder:
+    """Return a decoder that has read a whole log."""
+    decoder = Decoder()
+    decoder.add(log)
+    return decoder
 
 
 def encode_all(records: list[dict[str, Any]]) -> Iterator[str]:
