@@ -33,7 +33,7 @@ PAGES = {
     "/explore?kind=slices": "the middle half of the runs",
     "/explore?kind=ecdf": "never reach one",
     "/explore?kind=multiples&x=parameters.nFeatures&down=sensors&across=dataset": "the same axes",
-    "/explore?kind=pareto&x=usage.cpu.meanCores": "nobody has both",
+    "/explore?kind=pareto&x=usage.cpu.meanCores": "nobody is better in both",
     "/leaderboard": "over the best",
     "/studies": "p after Holm",
     "/studies?kind=importance": "rank correlation",

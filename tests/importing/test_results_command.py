@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.model.errors import InputError
-
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
@@ -79,10 +77,18 @@ def test_writing_to_a_file(filled: Command, tmp_path: Path) -> None:
         (("export", "-o", "/nowhere/x"), "--output: /nowhere/x: No such file"),
     ],
 )
-def test_wrong_input_is_a_sentence(filled: Command, words: tuple[str, ...], problem: str) -> None:
-    outcome = filled(*words)
-    assert isinstance(outcome.exception, InputError)
-    assert problem in str(outcome.exception)
+@pytest.mark.usefixtures("filled")
+def test_wrong_input_is_a_sentence(
+    run_command: Callable[..., tuple[int, str, str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...],
+    problem: str,
+) -> None:
+    monkeypatch.setenv("SLAMHIVE_HOME", str(tmp_path / "home"))
+    code, _, said = run_command("results", *words)
+    assert code == 2
+    assert problem in said
 
 
 @pytest.mark.parametrize("name", ["list", "show", "table", "export"])
