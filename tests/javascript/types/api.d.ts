@@ -66,7 +66,7 @@ declare namespace Api {
     unit?: string | null;
     factor?: number;
     /** Which way is good; null where nobody has said so. */
-    better?: 'lower' | 'higher' | null;
+    better?: string | null;
   };
   type Column = Heading & {
     kind: string;
