@@ -50,7 +50,7 @@ def test_what_is_no_file_is_written_itself() -> None:
 
 def test_a_folder_that_is_missing_is_said(tmp_path: Path) -> None:
     with (
-        pytest.raises(InputError, match=r"--output: .*none/table\.csv: No such file"),
+        pytest.raises(InputError, match=r"^output: .*none/table\.csv: No such file"),
         output_whole(tmp_path / "none" / "table.csv") as aside,
     ):
         aside.write_text("x")
