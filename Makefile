@@ -44,7 +44,7 @@ help:
 install demo-environment:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo 'slamhive needs Python 3.11 or newer: make PYTHON=python3.12 …'; exit 2; }
-	@PYTHONPATH=operator $(PYTHON) -P -m slamhive.local.programs.checkout $(VENV) \
+	@PYTHONPATH=operator $(PYTHON) tools/checkout.py $(VENV) \
 	  $(if $(filter install,$@),all,demo)
 
 # Biome and TypeScript, as the lock file has them; make lint alone needs them.
@@ -89,6 +89,7 @@ lint: install $(JAVASCRIPT_STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy tools
 	cd images && ../$(BIN)/mypy --strict building
 	$(BIN)/lint-imports --no-logo 2>/dev/null || $(BIN)/lint-imports
 	$(BIN)/python tests/tree/check.py
@@ -134,7 +135,7 @@ audit: install
 
 # The CRDs and the editors' schemas from the models, and the chart's copies of them and of the catalog.
 crds: install
-	$(BIN)/python -m slamhive.model.crd crds
+	$(BIN)/python tools/crds.py crds
 	$(BIN)/python -m slamhive.model.schemas schemas
 	SLAMHIVE_UPDATE=1 $(BIN)/python -m pytest -q tests/helm -k copies_are_equal
 

@@ -31,7 +31,7 @@ from slamhive.local.programs.unavailable import Unavailable
 from slamhive.model.dataset import Dataset
 from slamhive.model.loading import load_file
 
-sys.path.append(str(Path(__file__).parent))
+sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "tools")]
 from browsers import MISSING, Browser, find_browser
 from sharing import Sharing
 from units import STORY, Durations, Units

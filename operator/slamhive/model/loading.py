@@ -19,8 +19,8 @@ from slamhive.model.dataset import Dataset
 from slamhive.model.errors import ManifestError, suggestion
 from slamhive.model.evaluation import Evaluation
 from slamhive.model.reading import Document, Path_, parse, read_documents, read_text
-from slamhive.model.run import MappingRun
-from slamhive.model.sweep import Sweep
+from slamhive.model.run import MappingRun, MappingRunSpec
+from slamhive.model.sweep import IMMUTABLE, Sweep
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
 __all__ = [
+    "FROZEN",
     "KINDS",
     "Document",
     "Judged",
@@ -50,6 +51,16 @@ KINDS: dict[str, type[Kind]] = {
     "MappingRun": MappingRun,
     "Sweep": Sweep,
 }
+
+FROZEN: dict[str, tuple[str, ...] | None] = {
+    "Algorithm": None,
+    "Dataset": None,
+    "MappingRun": tuple(
+        field.alias or name for name, field in MappingRunSpec.model_fields.items() if name != "cancel"
+    ),
+    "Sweep": IMMUTABLE,
+}
+"""Fields of a kind's spec that may not change, None for all of them."""
 
 
 def load_file(path: Path) -> list[Kind]:

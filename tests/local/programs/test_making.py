@@ -18,8 +18,7 @@ from slamhive.local.programs.interpreters import Interpreter
 from slamhive.local.programs.making import Making
 from slamhive.local.programs.pipcommands import run_command
 from slamhive.local.programs.unavailable import GivenUp
-
-from .wheels import wheel
+from wheels import wheel
 
 if TYPE_CHECKING:
     from collections.abc import Callable

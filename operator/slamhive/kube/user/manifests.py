@@ -14,9 +14,8 @@ from slamhive.kube.api.kinds import Kind, Object
 from slamhive.kube.reconciling import catalogue
 from slamhive.model.base import API_VERSION
 from slamhive.model.canonical import normalize
-from slamhive.model.crd_rules import FROZEN
 from slamhive.model.errors import InputError, ManifestError
-from slamhive.model.loading import parse, read_text, to_object
+from slamhive.model.loading import FROZEN, parse, read_text, to_object
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

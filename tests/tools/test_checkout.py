@@ -10,20 +10,19 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import checkout
 import pytest
 
-from slamhive.local.programs import checkout
 from slamhive.local.programs import uv as uv_module
 from slamhive.local.programs.uv import find_uv, uv_commands, uv_variables
-
-from .wheels import wheel
+from wheels import wheel
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 pytestmark = pytest.mark.timeout(300)
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 UV = find_uv([Path(sys.prefix) / "bin"])
 PROJECT = """
 [build-system]
@@ -171,7 +170,7 @@ def test_an_environment_that_moved_is_made_anew(place: Path, capsys: pytest.Capt
 def in_a_process(folder: Path) -> list[str]:
     """Return the command that makes an environment as make does."""
     code = (
-        "import sys; from pathlib import Path; from slamhive.local.programs import checkout\n"
+        f"import sys; from pathlib import Path; sys.path.append({str(ROOT / 'tools')!r}); import checkout\n"
         "checkout.ROOT = Path.cwd(); checkout.make_environment(Path(sys.argv[1]), 'demo')"
     )
     return [sys.executable, "-c", code, str(folder)]
@@ -293,7 +292,7 @@ def test_make_sees_to_the_environment_before_all_else() -> None:
     for target, what in (("install", "all"), ("test", "all"), ("lint", "all"), ("demo", "demo")):
         command = ["make", "--dry-run", "VENV=elsewhere", target]
         told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
-        assert f"-m slamhive.local.programs.checkout elsewhere \\\n  {what}\n" in told
+        assert f"tools/checkout.py elsewhere \\\n  {what}\n" in told
     # Before anything is installed: -S takes all packages away but Python's own.
-    command = [sys.executable, "-S", "-P", "-c", "import slamhive.local.programs.checkout"]
-    subprocess.run(command, env={"PYTHONPATH": str(ROOT / "operator")}, check=True)
+    command = [sys.executable, "-S", "-P", "-c", "import checkout"]
+    subprocess.run(command, env={"PYTHONPATH": f"{ROOT / 'operator'}:{ROOT / 'tools'}"}, check=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rules of the CRDs beyond the models' types: CEL expressions, bounds, and fields that may not change.
+"""Rules of the CRDs beyond the models' types: CEL expressions and bounds.
 
 The rules are those of the models' own validators, in the words of the API server. CEL knows no typeless
 values, such as those of an axis: what can be said of them without CEL is in EXTRA, the rest is checked by
@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.model.algorithm import TEXT_LIMIT
 from slamhive.model.formats import FIRST_CAMERAS, HELD, DataFormat, holds
-from slamhive.model.run import MappingRunSpec
 from slamhive.model.sensors import ROLES, Role, SensorMode
-from slamhive.model.sweep import IMMUTABLE, MAX_POINTS
+from slamhive.model.sweep import MAX_POINTS
 from slamhive.model.synthetic import NOMINAL_LAP_METRES, REST_SECONDS, SyntheticSensor
 
 if TYPE_CHECKING:
@@ -218,16 +217,6 @@ EXTRA: dict[str, dict[str, Any]] = {
     "SyntheticRecording.sensors": {"x-kubernetes-list-type": "set"},
 }
 """Schema to add to a model, or to a field of one."""
-
-FROZEN: dict[str, tuple[str, ...] | None] = {
-    "Algorithm": None,
-    "Dataset": None,
-    "MappingRun": tuple(
-        field.alias or name for name, field in MappingRunSpec.model_fields.items() if name != "cancel"
-    ),
-    "Sweep": IMMUTABLE,
-}
-"""Fields of a kind's spec that may not change, None for all of them."""
 
 _SMALL = 64
 LENGTHS: dict[str, int] = {

@@ -9,12 +9,12 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import crds
 import pytest
 import yaml
+from crd_rules import EXTRA, LENGTHS, RULES
 
-from slamhive.model import crd
-from slamhive.model.crd_rules import EXTRA, FROZEN, LENGTHS, RULES
-from slamhive.model.loading import KINDS, load_file
+from slamhive.model.loading import FROZEN, KINDS, load_file
 from slamhive.model.run import MappingRunSpec
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ EXAMPLES = sorted([*ROOT.glob("examples/**/*.yaml"), *ROOT.glob("images/algorith
 
 @cache
 def _schema(kind: str) -> dict[str, Any]:
-    found: dict[str, Any] = crd.definition(kind)["spec"]["versions"][0]["schema"]["openAPIV3Schema"]
+    found: dict[str, Any] = crds.definition(kind)["spec"]["versions"][0]["schema"]["openAPIV3Schema"]
     return found
 
 
@@ -76,14 +76,14 @@ def _problems_of_fields(schema: dict[str, Any], value: dict[str, Any], path: str
         inner = schema.get("properties", {}).get(name) or schema.get("additionalProperties")
         if inner is not None:
             yield from _problems(inner, item, f"{path}.{name}")
-        elif crd.KEEP not in schema:
+        elif crds.KEEP not in schema:
             yield f"{path}.{name}: unknown"
 
 
 def _filled(schema: dict[str, Any], value: Any) -> Any:
     """Fill in defaults as an API server does: from outside to inside."""
     if isinstance(value, dict):
-        value = {key: item for key, item in value.items() if item is not None or crd.KEEP in schema}
+        value = {key: item for key, item in value.items() if item is not None or crds.KEEP in schema}
         for name, item in schema.get("properties", {}).items():
             if name not in value and "default" in item:
                 value[name] = copy.deepcopy(item["default"])
@@ -97,14 +97,14 @@ def _filled(schema: dict[str, Any], value: Any) -> Any:
 
 def test_committed_files_are_those_of_the_models() -> None:
     committed = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "crds").glob("*.yaml")}
-    assert committed == crd.files(), "run: python -m slamhive.model.crd crds/"
+    assert committed == crds.files(), "run: make crds"
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_schemas_are_structural(kind: str) -> None:
     for path, node in _nodes(_schema(kind)):
         assert not FORBIDDEN & node.keys(), path
-        free = crd.KEEP in node or "x-kubernetes-int-or-string" in node
+        free = crds.KEEP in node or "x-kubernetes-int-or-string" in node
         assert "type" in node or free, path
         assert not {"properties", "additionalProperties"} <= node.keys(), path
         assert ("items" in node) == (node.get("type") == "array"), path
@@ -135,7 +135,7 @@ def test_rules_name_fields_that_there_are(kind: str) -> None:
 
 
 def test_tables_name_models_and_fields_that_there_are() -> None:
-    models = {item.__name__: item for kind in KINDS.values() for item in crd._reachable(kind)}
+    models = {item.__name__: item for kind in KINDS.values() for item in crds._reachable(kind)}
     for name in [*RULES, *EXTRA, *LENGTHS]:
         model, _, field = name.partition(".")
         assert model in models, name
@@ -146,7 +146,7 @@ def test_tables_name_models_and_fields_that_there_are() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_columns_lead_to_fields_and_not_through_maps(kind: str) -> None:
     root = _schema(kind)
-    for column in crd.COLUMNS[kind]:
+    for column in crds.COLUMNS[kind]:
         if column["jsonPath"].startswith(".metadata"):
             continue
         node = root
@@ -182,6 +182,6 @@ def test_a_template_gets_no_defaults() -> None:
 
 
 def test_the_command_writes_files(tmp_path: Path) -> None:
-    assert crd.main([str(tmp_path / "new")]) == 0
+    assert crds.main([str(tmp_path / "new")]) == 0
     assert len(list((tmp_path / "new").iterdir())) == len(KINDS)
-    assert crd.main([]) == 2
+    assert crds.main([]) == 2

@@ -31,7 +31,7 @@ from slamhive.local.programs.uv import find_uv, settle, uv_commands, uv_variable
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-ROOT = Path(__file__).resolve().parents[4]
+ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {"demo": "constraints-demo.txt", "all": "constraints.txt"}
 """Files of packages by what they are enough for: what ``make demo`` and the README show, or everything."""
 STAMP = ".made-from"
