@@ -11,9 +11,7 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import os
-import queue
 import shutil
-import threading
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -44,10 +42,6 @@ BLOCK = 1 << 18
 """Bytes that are written at a time; an end by kill -9 loses those that are on their way."""
 _READ = 1 << 14
 """Bytes of a record of TLS: no read gives more."""
-_BLOCKS = 8
-"""Blocks that are filled, written and summed up, or wait for that."""
-_Blocks = queue.SimpleQueue[tuple[int, bytearray, int] | None]
-"""Place in the file, the bytes, and how many of them count; None at the end."""
 
 
 @dataclass(frozen=True)
@@ -377,80 +371,38 @@ def _copy(order: _FetchOrder, answer: HttpsResponse, until: int | None) -> None:
 
 
 class _BlockWriter:
-    """Writes what comes and computes its checksum, each on a thread of its own: neither waits for the other.
-
-    A few blocks go round from the network to the disk, to the checksum and back, so that none is made anew.
-    """
+    """Writes what comes, and adds it to the running checksum, a block at a time."""
 
     def __init__(self, order: _FetchOrder, at: int) -> None:
         self._order, self._at = order, at
-        self._free: queue.SimpleQueue[bytearray] = queue.SimpleQueue()
-        for _ in range(_BLOCKS):
-            self._free.put(bytearray(BLOCK))
-        self._written: _Blocks = queue.SimpleQueue()
-        self._hashed: _Blocks = queue.SimpleQueue()
-        self._block, self._size = self._free.get(), 0
-        self._error: SlamHiveError | None = None
-        self._threads = [
-            threading.Thread(target=work, name=f"fetched bytes: {work.__name__}", daemon=True)
-            for work in (self._write, self._hash)
-        ]
+        self._block = bytearray()
 
     def __enter__(self) -> Self:
-        for thread in self._threads:
-            thread.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self._send()
-        self._written.put(None)
-        for thread in self._threads:
-            thread.join()
-        if self._error is not None and kind is None:
-            raise self._error
+    def __exit__(self, *_: object) -> None:
+        self._write()
 
     def put(self, data: memoryview) -> None:
         """Have bytes written behind the last ones.
 
         Raises:
-            SystemFault: The disk refused earlier ones.
+            SystemFault: The disk refuses them.
         """
-        while data:
-            part = data[: BLOCK - self._size]
-            self._block[self._size : self._size + len(part)] = part
-            self._size += len(part)
-            data = data[len(part) :]
-            if self._size == BLOCK:
-                self._send()
-                self._block, self._size = self._free.get(), 0
-        if self._error is not None:
-            raise self._error
-
-    def _send(self) -> None:
-        if self._size:
-            self._written.put((self._at, self._block, self._size))
-            self._at += self._size
+        self._block += data
+        if len(self._block) >= BLOCK:
+            self._write()
 
     def _write(self) -> None:
-        partial = self._order.partial
-        while (item := self._written.get()) is not None:
-            at, block, size = item
-            if self._error is None:
-                try:
-                    with disk_words(self._order.wanted.what, partial.path):
-                        partial.write(at, memoryview(block)[:size])
-                except SlamHiveError as error:
-                    self._error = error
-            self._hashed.put(item)
-        self._hashed.put(None)
-
-    def _hash(self) -> None:
-        running = self._order.running
-        while (item := self._hashed.get()) is not None:
-            at, block, size = item
-            if running is not None and self._error is None:
-                running.update(at, memoryview(block)[:size])
-            self._free.put(block)
+        block, self._block = self._block, bytearray()
+        if not block:
+            return
+        order = self._order
+        with disk_words(order.wanted.what, order.partial.path):
+            order.partial.write(self._at, memoryview(block))
+        if order.running is not None:
+            order.running.update(self._at, memoryview(block))
+        self._at += len(block)
 
 
 def _require_room(size: int, room: int, order: _FetchOrder) -> None:
