@@ -29,7 +29,6 @@ from slamhive.model.results import IntendedEvaluation, Phase, Reason, Result, Ru
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
-    from types import TracebackType
 
     from sqlalchemy import ColumnElement, Connection, Engine, Select
 
@@ -92,9 +91,7 @@ class Archive:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property

@@ -29,7 +29,6 @@ from slamhive.model.sweep import Sweep
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from contextlib import AbstractAsyncContextManager
-    from types import TracebackType
     from typing import Self
 
     from slamhive.conformance.workstation import CheckBench
@@ -104,9 +103,7 @@ class OnCluster:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._made:
             asyncio.run(self._remove())
 

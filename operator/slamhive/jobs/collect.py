@@ -71,9 +71,7 @@ class Find:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Collect."""
-    parser = arguments("Remove what neither the API nor the archive knows.")
-    parser.add_argument("--namespace", required=True, help="namespace whose volumes these are")
-    parser.add_argument("--archive-url-file", type=Path, help="file with the URL of the archive's database")
+    parser = volume_arguments("Remove what neither the API nor the archive knows.", "removed")
     parser.add_argument("--grace", default="1h", help="what is younger stays (default: %(default)s)")
     parser.add_argument(
         "--trash", default="168h", help="how long unknown run folders lie in the trash (default: %(default)s)"
@@ -90,12 +88,28 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--adopt", action="store_true", help="let this namespace and archive decide from now on"
     )
-    parser.add_argument("--cronjob", help="CronJob that an Event is attached to when nothing is removed")
-    parser.add_argument("--dry-run", action="store_true", help="print what would be removed")
-    parser.add_argument("--kubeconfig", help="how to reach the API (default: the pod's account)")
-    parser.add_argument("--known", type=Path, help="JSON file to ask in the place of the API")
     options = parser.parse_args(argv)
     return run_program(lambda: _work(options))
+
+
+def volume_arguments(description: str, done: str, *, archive: bool = False) -> argparse.ArgumentParser:
+    """Return a parser with the options of programs that clean volumes.
+
+    Args:
+        description: what the program does.
+        done: what becomes of files, a participle.
+        archive: it needs an archive.
+    """
+    parser = arguments(description)
+    parser.add_argument("--namespace", required=True, help="namespace whose volumes these are")
+    parser.add_argument(
+        "--archive-url-file", type=Path, required=archive, help="file with the URL of the archive's database"
+    )
+    parser.add_argument("--cronjob", help=f"CronJob that an Event is attached to when nothing is {done}")
+    parser.add_argument("--dry-run", action="store_true", help=f"print what would be {done}")
+    parser.add_argument("--kubeconfig", help="how to reach the API (default: the pod's account)")
+    parser.add_argument("--known", type=Path, help="JSON file to ask in the place of the API")
+    return parser
 
 
 def _work(options: argparse.Namespace) -> str:

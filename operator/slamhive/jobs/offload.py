@@ -22,7 +22,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import islice
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamhive.data.files.erasing import erase
@@ -34,10 +33,11 @@ from slamhive.jobs.collect import (
     known_now,
     read_url,
     tell_owner,
+    volume_arguments,
 )
 from slamhive.jobs.known import archived
 from slamhive.jobs.moving import copy_folder
-from slamhive.jobs.program import add_store, arguments, run_program, write_aside
+from slamhive.jobs.program import add_store, run_program, write_aside
 from slamhive.jobs.trash import OFFLOADED, outdated, throw_away
 from slamhive.model.errors import DataError, SlamHiveError, sentence
 from slamhive.storage.state import STATE, OffloadState, read_state
@@ -46,6 +46,7 @@ from slamhive.storage.store import ObjectStorage, StorageUnavailable, StoreSetti
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
 
 
 NOTHING_MOVED = "NothingMoved"
@@ -57,11 +58,7 @@ _BATCH = 128
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Offload."""
-    parser = arguments("Move archived run folders to object storage.")
-    parser.add_argument("--namespace", required=True, help="namespace whose volume this is")
-    parser.add_argument(
-        "--archive-url-file", type=Path, required=True, help="file with the URL of the archive's database"
-    )
+    parser = volume_arguments("Move archived run folders to object storage.", "moved", archive=True)
     add_store(parser, required=True)
     parser.add_argument("--after", default="24h", help="what is younger stays (default: %(default)s)")
     parser.add_argument(
@@ -74,10 +71,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         metavar="PERCENT",
         help="on a fuller volume younger folders go too, and the trash at once (default: %(default)s)",
     )
-    parser.add_argument("--cronjob", help="CronJob that an Event is attached to when nothing is moved")
-    parser.add_argument("--dry-run", action="store_true", help="print what would be moved")
-    parser.add_argument("--kubeconfig", help="how to reach the API (default: the pod's account)")
-    parser.add_argument("--known", type=Path, help="JSON file to ask in the place of the API")
     options = parser.parse_args(argv)
     return run_program(lambda: _work(options))
 

@@ -68,59 +68,39 @@ async def evaluations(request: Request) -> Response:
     return await service_of(request).answer(request, catalog.evaluations, _little)
 
 
-def _known(service: Service, kind: str) -> Callable[[Snapshot], Awaitable[list[CatalogEntry]]]:
-    """Return a function that looks up what the catalog has of a kind."""
+def _serve(kind: str, has: str) -> None:
+    """Serve what the catalog has of a kind, and one of them."""
+    many, one = f"{kind.lower()}s", kind.lower()
 
-    async def known(_: Snapshot) -> list[CatalogEntry]:
-        return await service.run(lambda: service.source.catalog(kind))
+    def known(service: Service) -> Callable[[Snapshot], Awaitable[list[CatalogEntry]]]:
+        async def look_up(_: Snapshot) -> list[CatalogEntry]:
+            return await service.run(lambda: service.source.catalog(kind))
 
-    return known
+        return look_up
 
+    @routes.get(f"/{many}", name=many, summary=f"{kind}s that runs used", dependencies=FORMATS)
+    async def entries(request: Request) -> Response:
+        """Return each with what became of its runs."""
+        service = service_of(request)
+        return await service.answer_with(
+            request, known(service), lambda data, found: catalog.catalog(data, found, kind), _little
+        )
 
-@routes.get("/algorithms", summary="Algorithms that runs used", dependencies=FORMATS)
-async def algorithms(request: Request) -> Response:
-    """Return each with what became of its runs."""
-    service = service_of(request)
-    return await service.answer_with(
-        request,
-        _known(service, "Algorithm"),
-        lambda data, known: catalog.catalog(data, known, "Algorithm"),
-        _little,
+    @routes.get(
+        f"/{many}/{{name}}",
+        name=one,
+        summary=f"One {one}",
+        description=f"Return it with its manifest and {has}.",
     )
+    async def entry(request: Request, name: Name) -> Response:
+        service = service_of(request)
+        return await service.answer_with(
+            request, known(service), lambda data, found: catalog.catalog_entry(data, found, kind, name)
+        )
 
 
-@routes.get("/algorithms/{name}", summary="One algorithm")
-async def algorithm(request: Request, name: Name) -> Response:
-    """Return it with its manifest and parameters."""
-    service = service_of(request)
-    return await service.answer_with(
-        request,
-        _known(service, "Algorithm"),
-        lambda data, known: catalog.catalog_entry(data, known, "Algorithm", name),
-    )
-
-
-@routes.get("/datasets", summary="Datasets that runs used", dependencies=FORMATS)
-async def datasets(request: Request) -> Response:
-    """Return each with its attributes."""
-    service = service_of(request)
-    return await service.answer_with(
-        request,
-        _known(service, "Dataset"),
-        lambda data, known: catalog.catalog(data, known, "Dataset"),
-        _little,
-    )
-
-
-@routes.get("/datasets/{name}", summary="One dataset")
-async def dataset(request: Request, name: Name) -> Response:
-    """Return it with its manifest and sensors."""
-    service = service_of(request)
-    return await service.answer_with(
-        request,
-        _known(service, "Dataset"),
-        lambda data, known: catalog.catalog_entry(data, known, "Dataset", name),
-    )
+_serve("Algorithm", "parameters")
+_serve("Dataset", "sensors")
 
 
 @routes.get("/datasets/{name}/overview", summary="What is drawn of a dataset's recording")

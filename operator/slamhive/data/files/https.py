@@ -16,13 +16,10 @@ import urllib.request
 from dataclasses import dataclass
 from html.parser import HTMLParser
 from http.client import HTTPException
-from typing import IO, TYPE_CHECKING, Any, Self
+from typing import IO, Any, Self
 from urllib.parse import urlencode, urljoin, urlsplit
 
 from slamhive.model.errors import DataError, InputError, SystemFault
-
-if TYPE_CHECKING:
-    from types import TracebackType
 
 TIMEOUT_SECONDS = 60
 """Seconds without a byte after which a connection is given up."""
@@ -60,9 +57,7 @@ class HttpsResponse:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._response.close()
 
     def read(self, size: int) -> bytes:

@@ -17,7 +17,6 @@ from slamhive.templating.numbers import number
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
-    from types import TracebackType
     from typing import TextIO
 
     import numpy.typing as npt
@@ -59,9 +58,7 @@ class Layout(ABC):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._open.close()
 
     @abstractmethod

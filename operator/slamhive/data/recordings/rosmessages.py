@@ -16,7 +16,6 @@ from slamhive_eval.rotation import from_matrix
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
-    from types import TracebackType
 
     import numpy.typing as npt
     from rosbags.interfaces import Connection
@@ -48,9 +47,7 @@ class BagWriter:
         self._writer.open()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
             self._writer.close()
         else:

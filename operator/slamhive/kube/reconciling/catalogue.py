@@ -17,6 +17,7 @@ from slamhive.plan import FixedCatalog, algorithm_hash
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from slamhive.kube.api.kinds import Object
     from slamhive.kube.store import Store
 
 R = TypeVar("R", bound=Resource)
@@ -59,10 +60,7 @@ class Catalogue:
             UnknownNameError: there is none of this name.
             InputError: it is wrong.
         """
-        body = store.get(Key(Kind.ALGORITHM, namespace, name))
-        if body is None:
-            raise UnknownNameError("algorithm", name, _names(store, Kind.ALGORITHM, namespace))
-        return self._parse(Algorithm, body)
+        return self._parse(Algorithm, _named(store, Kind.ALGORITHM, namespace, name))
 
     def dataset(self, store: Store, namespace: str, name: str) -> Dataset:
         """Return a Dataset.
@@ -71,10 +69,7 @@ class Catalogue:
             UnknownNameError: there is none of this name.
             InputError: it is wrong.
         """
-        body = store.get(Key(Kind.DATASET, namespace, name))
-        if body is None:
-            raise UnknownNameError("dataset", name, _names(store, Kind.DATASET, namespace))
-        return self._parse(Dataset, body)
+        return self._parse(Dataset, _named(store, Kind.DATASET, namespace, name))
 
     def all(self, store: Store, namespace: str) -> FixedCatalog:
         """Return all of a namespace that can be used."""
@@ -119,5 +114,9 @@ def _remember(known: dict[str, V], key: str, make: Callable[[], V]) -> V:
     return known[key]
 
 
-def _names(store: Store, kind: Kind, namespace: str) -> list[str]:
-    return [body["metadata"]["name"] for body in store.of(kind, namespace)]
+def _named(store: Store, kind: Kind, namespace: str, name: str) -> Object:
+    body = store.get(Key(kind, namespace, name))
+    if body is None:
+        known = [found["metadata"]["name"] for found in store.of(kind, namespace)]
+        raise UnknownNameError(str(kind).lower(), name, known)
+    return body

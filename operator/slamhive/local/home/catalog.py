@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.dataset import Dataset
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
     from slamhive.local.home.folder import Home
     from slamhive.model.loading import Kind
+
+
+_Known = TypeVar("_Known")
 
 
 @dataclass(frozen=True)
@@ -68,10 +71,7 @@ class Workshop:
         Raises:
             UnknownNameError: there is none of that name.
         """
-        try:
-            return self.algorithm_entries[name]
-        except KeyError:
-            raise UnknownNameError("algorithm", name, self.algorithm_entries) from None
+        return _named("algorithm", name, self.algorithm_entries)
 
     def dataset(self, name: str) -> DatasetPlace:
         """Return a dataset.
@@ -79,10 +79,7 @@ class Workshop:
         Raises:
             UnknownNameError: there is none of that name.
         """
-        try:
-            return self.dataset_places[name]
-        except KeyError:
-            raise UnknownNameError("dataset", name, self.dataset_places) from None
+        return _named("dataset", name, self.dataset_places)
 
     def add(self, objects: Iterable[Kind], folder: Path) -> None:
         """Take in the Algorithms and Datasets among objects; their paths start from the folder."""
@@ -91,6 +88,12 @@ class Workshop:
                 self.algorithm_entries[item.name] = AlgorithmEntry(item, folder)
             elif isinstance(item, Dataset):
                 self.dataset_places[item.name] = DatasetPlace(item, folder)
+
+
+def _named(kind: str, name: str, known: Mapping[str, _Known]) -> _Known:
+    if name not in known:
+        raise UnknownNameError(kind, name, known)
+    return known[name]
 
 
 @cache
