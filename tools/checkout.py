@@ -25,7 +25,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slamhive.local.programs.installing import InstallStep, Steps, Teller, install
+from telling import Teller, install
+
+from slamhive.local.programs.installing import InstallStep, Steps
 from slamhive.local.programs.uv import find_uv, settle, uv_commands, uv_variables
 
 if TYPE_CHECKING:

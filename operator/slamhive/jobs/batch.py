@@ -7,13 +7,11 @@ import hashlib
 import json
 import multiprocessing
 import os
-import resource
 import signal
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,6 +26,7 @@ from slamhive.jobs.opening import opened
 from slamhive.jobs.program import parse
 from slamhive.jobs.requests import RunItem
 from slamhive.model.errors import DataError, SlamHiveError
+from slamhive.monitor.measuring.processes import limit_data
 from slamhive_eval import (
     ControlPoints,
     EvaluationError,
@@ -43,6 +42,7 @@ from slamhive_eval import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from contextlib import AbstractContextManager
+    from pathlib import Path
 
     from slamhive.model.evaluation import EvaluationSettings
     from slamhive_eval import Piece
@@ -195,20 +195,11 @@ def _begin(bench: Bench, share: int | None) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     _BENCHES[:] = [bench]
     if share is not None:
-        limit = _data_bytes() + share
-        resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+        limit_data(share)
 
 
 def _measure(item: Mapping[str, Any]) -> dict[str, Any]:
     return _BENCHES[0].measure(item)
-
-
-def _data_bytes() -> int:
-    """Return the bytes that this process counts as data already, most of them shared with its parent."""
-    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
-        if line.startswith("VmData:"):
-            return int(line.split()[1]) << 10
-    return 0
 
 
 def read_truths(folder: Path, datasets: Iterable[str]) -> dict[str, Truth | str]:

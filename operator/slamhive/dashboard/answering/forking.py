@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from slamhive.dashboard.problems import told
-from slamhive.monitor.measuring.processes import set_parent_death_signal
+from slamhive.monitor.measuring.processes import limit_data, set_parent_death_signal
 
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, Callable, Iterable, Sequence
@@ -127,17 +127,7 @@ def _limit(cpu_seconds: int, memory: int, parent: int) -> None:
         Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_CPU, (cpu_seconds, cpu_seconds + 1))
-    # Of data and not of addresses: a library's code costs nothing that is not there already.
-    most = _data_bytes() + memory
-    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    resource.setrlimit(resource.RLIMIT_DATA, (most, most) if hard < 0 else (min(most, hard), hard))
-
-
-def _data_bytes() -> int:
-    for line in Path("/proc/self/status").read_text(encoding="ascii", errors="replace").splitlines():
-        if line.startswith("VmData:"):
-            return int(line.split()[1]) * 1024
-    return 0
+    limit_data(memory)
 
 
 def _send(pipe: int, kind: bytes, block: bytes) -> None:

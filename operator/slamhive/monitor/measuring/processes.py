@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import ctypes
 import os
+import resource
 import signal
 import time
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
@@ -52,6 +54,18 @@ def forbid_inspection() -> None:
 def allow_inspection() -> None:
     """Undo that: also our own writing to /proc/self."""
     _prctl(_PR_SET_DUMPABLE, 1)
+
+
+def limit_data(more: int) -> None:
+    """Refuse memory to this process beyond so many bytes more than it has, most of which a fork shares.
+
+    Of data and not of addresses: a library's code costs nothing that is not there already.
+    """
+    with Path("/proc/self/status").open(encoding="ascii", errors="replace") as status:
+        has = next((int(line.split()[1]) << 10 for line in status if line.startswith("VmData:")), 0)
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    most = has + more if hard < 0 else min(has + more, hard)
+    resource.setrlimit(resource.RLIMIT_DATA, (most, most if hard < 0 else hard))
 
 
 def _prctl(option: int, value: int) -> None:

@@ -9,8 +9,9 @@ import sys
 from typing import TYPE_CHECKING
 
 import pytest
+import telling
 
-from slamhive.local.programs import installing
+from slamhive.local.programs.installing import Steps
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,8 +36,8 @@ def requirements(tmp_path: Path) -> Path:
 def said(requirements: Path, to: io.StringIO, moments: Callable[[int], float]) -> str:
     """Return the words about 150 packages and a long installation, line by line of pip."""
     now = 0.0
-    teller = installing.Teller(to, lambda: now)
-    steps = installing.Steps(requirements)
+    teller = telling.Teller(to, lambda: now)
+    steps = Steps(requirements)
     for k in range(150):
         now = moments(k)
         for line in (
@@ -90,7 +91,7 @@ Installed 49 packages in 276ms
 
 
 def test_uv_is_followed_as_pip_is(requirements: Path) -> None:
-    steps = installing.Steps(requirements)
+    steps = Steps(requirements)
     assert [step for line in UV_SAYS.splitlines() if (step := steps.step(line))] == [
         ("fetching packages", 0, 50),
         ("downloading numpy (16.1MiB)", 0, 50),
@@ -111,7 +112,7 @@ def test_what_it_says_beside_its_steps_is_the_reason_why_it_failed(
     )
     to, nothing = io.StringIO(), os.open(os.devnull, os.O_RDONLY)
     command = [sys.executable, "-c", pip, str(code)]
-    steps, teller = installing.Steps(requirements), installing.Teller(to, lambda: 0.0)
-    assert installing.install(command, steps, teller, os.environ, nothing) == told
+    steps, teller = Steps(requirements), telling.Teller(to, lambda: 0.0)
+    assert telling.install(command, steps, teller, os.environ, nothing) == told
     os.close(nothing)
     assert to.getvalue() == "0 of 150 packages, 0 s: collecting x-0\n"
