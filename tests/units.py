@@ -40,10 +40,13 @@ class Durations:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._before: dict[str, float] = {}
         self._now: defaultdict[str, float] = defaultdict(float)
+        self._before = self._read()
+
+    def _read(self) -> dict[str, float]:
         with suppress(OSError, ValueError):
-            self._before = dict(json.loads(path.read_text(encoding="utf-8")))
+            return dict(json.loads(self._path.read_text(encoding="utf-8")))
+        return {}
 
     def of(self, item: pytest.Item, unknown: float) -> float:
         """Return the seconds of a test; a guess where it never ran."""
@@ -54,8 +57,8 @@ class Durations:
         self._now[report.nodeid] += report.duration
 
     def keep(self, root: Path) -> None:
-        """Write them, without those of files that are gone."""
-        found = self._before | {name: round(seconds, 3) for name, seconds in self._now.items()}
+        """Write them beside those that others wrote meanwhile, without those of files that are gone."""
+        found = self._read() | {name: round(seconds, 3) for name, seconds in self._now.items()}
         files = {file for file in {name.partition("::")[0] for name in found} if (root / file).exists()}
         kept = {name: seconds for name, seconds in found.items() if name.partition("::")[0] in files}
         new = self._path.with_name(f"{self._path.name}.{os.getpid()}")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from slamhive.contract.posefiles import FRAMES
 from slamhive.data.recordings.reading import TF_TYPES, Recording
-from slamhive.data.recordings.writing import FILE_NAMES, RecordingWriter
-from slamhive.model.formats import RecordingFormat
+from slamhive.data.recordings.writing import RecordingWriter
+from slamhive.model.formats import FILE_NAMES, RecordingFormat
 
 if TYPE_CHECKING:
     from pathlib import Path

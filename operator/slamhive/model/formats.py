@@ -36,6 +36,16 @@ class DataFormat(Choice):
         return self in HELD
 
 
+FILE_NAMES = {
+    DataFormat.ROSBAG1: "recording.bag",
+    DataFormat.ROSBAG2: "recording",
+    DataFormat.MCAP: "recording.mcap",
+    DataFormat.EUROC: "recording",
+    DataFormat.TUM: "recording",
+    DataFormat.KITTI: "recording",
+}
+"""Names of recordings: Rosbag1 and Mcap are files, the others are folders."""
+
 FIRST_CAMERAS = (Role.CAMERA, Role.LEFT, Role.COLOR)
 """Roles of which a folder has one, as its first camera."""
 

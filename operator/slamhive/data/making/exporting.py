@@ -20,11 +20,10 @@ import yaml
 from slamhive.data.files.once import settle
 from slamhive.data.files.publishing import MANIFEST
 from slamhive.data.making.orders import make_recording, order_of
-from slamhive.data.recordings.writing import FILE_NAMES
 from slamhive.data.store.groundtruth import write_ground_truth
 from slamhive.model.base import API_VERSION
 from slamhive.model.errors import InputError, SystemFault
-from slamhive.model.formats import DataFormat, folder_files, holds
+from slamhive.model.formats import FILE_NAMES, DataFormat, folder_files, holds
 from slamhive.model.sensors import ROLE_TYPES, Role
 from slamhive_eval import Trajectory, write_tum
 

@@ -14,20 +14,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from slamhive.contract.posefiles import FRAMES
-from slamhive.data.making.folders import plan_folder, write_folder
 from slamhive.data.making.selection import complete_frames, select
-from slamhive.data.making.transfer import transfer
 from slamhive.data.recordings.checks import check_content
 from slamhive.data.recordings.clouds import cloud_filter
-from slamhive.data.recordings.images import scale_camera
 from slamhive.data.recordings.posetopics import truth_topic
 from slamhive.data.recordings.reading import open_recording, recording_paths
 from slamhive.data.recordings.streams import streams_of
-from slamhive.data.recordings.writing import FILE_NAMES
 from slamhive.model.base import seconds
 from slamhive.model.configuration import SensorView
 from slamhive.model.errors import InputError
-from slamhive.model.formats import DataFormat, RecordingFormat, holds, misfit
+from slamhive.model.formats import FILE_NAMES, DataFormat, RecordingFormat, holds, misfit
 from slamhive.model.sensors import ROLE_TYPES, Role, SensorType
 
 if TYPE_CHECKING:
@@ -99,6 +95,8 @@ def _views(sensors: dict[Role, SensorView], wish: RecordingOptions) -> dict[Role
         if sensor.type is SensorType.LIDAR:
             view = sensor.replace(lidar=cloud_filter(wish.lidar, sensor.lidar, sensor.name)[1])
         elif sensor.camera is not None and wish.resolution != 1.0:
+            from slamhive.data.recordings.images import scale_camera  # noqa: PLC0415 - as in `make_recording`
+
             view = sensor.replace(camera=scale_camera(sensor.camera, wish.resolution))
         views[role] = view
     return views
@@ -159,7 +157,11 @@ def order_of(
     sensors = {role: _sensor_for(entry, role, options) for role in roles}
     wish = _wish(options, sensors)
     views = _views(sensors, wish)
-    folder = plan_folder(target, entry.name, views) if target.is_folder else None
+    folder = None
+    if target.is_folder:
+        from slamhive.data.making.folders import plan_folder  # noqa: PLC0415 - as in `make_recording`
+
+        folder = plan_folder(target, entry.name, views)
     return Order(entry, sensors, wish, target, folder.views if folder else views, folder, (*topics,))
 
 
@@ -178,6 +180,10 @@ def make_recording(
         DataError: The recording can't be used.
         OSError: The disk refuses.
     """
+    # With OpenCV and writers of bags, half a second: for those alone who make a recording.
+    from slamhive.data.making.folders import write_folder  # noqa: PLC0415
+    from slamhive.data.making.transfer import transfer  # noqa: PLC0415
+
     entry, wish, target = order.entry, order.wish, order.target
     path = folder / FILE_NAMES[target]
     truth = entry.dataset.spec.ground_truth

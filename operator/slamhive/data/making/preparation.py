@@ -22,11 +22,10 @@ from slamhive.data.making.orders import frames_text, make_recording, order_of
 from slamhive.data.recordings.entries import recording_sha256
 from slamhive.data.recordings.reading import Recording, guess_format
 from slamhive.data.recordings.version import VERSION
-from slamhive.data.recordings.writing import FILE_NAMES
 from slamhive.model.canonical import digest
 from slamhive.model.configuration import SensorView
 from slamhive.model.errors import InputError, SystemFault
-from slamhive.model.formats import DataFormat, RecordingFormat
+from slamhive.model.formats import FILE_NAMES, DataFormat, RecordingFormat
 from slamhive.model.results import Prepared
 from slamhive.model.sensors import FOLLOWS, Role
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from slamhive.data.recordings import kinds, samples
@@ -161,6 +160,8 @@ def _image(look: SensorLook) -> str:
 
 def _compressed(look: SensorLook) -> str:
     sensor, message = look.sensor, look.first()
+    import cv2  # noqa: PLC0415 - for those who look into recordings alone
+
     pixels = cv2.imdecode(message.data, cv2.IMREAD_UNCHANGED) if message.data.size else None
     if pixels is None:
         # Other transports, such as compressedDepth, are the algorithm's own business at full resolution.

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
 
 from slamhive.data.files.damage import remedy
 from slamhive.model.algorithm import RecordingFormat
@@ -82,6 +80,10 @@ class Recording:
         self.format = recording_format
         for path in self.paths:
             _check_path(path, recording_format)
+        # Most commands know of recordings without reading one, and this takes a third of a second.
+        from rosbags.highlevel import AnyReader  # noqa: PLC0415
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+
         store = Stores.ROS1_NOETIC if recording_format is RecordingFormat.ROSBAG1 else Stores.ROS2_HUMBLE
         try:
             self._reader = AnyReader(self.paths, default_typestore=get_typestore(store))

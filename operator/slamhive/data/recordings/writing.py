@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from slamhive.data.recordings.reading import TF_TYPES
 from slamhive.model.errors import SystemFault
-from slamhive.model.formats import DataFormat, RecordingFormat
+from slamhive.model.formats import RecordingFormat
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,16 +28,6 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
     from slamhive.data.recordings.reading import Recording
-
-FILE_NAMES = {
-    DataFormat.ROSBAG1: "recording.bag",
-    DataFormat.ROSBAG2: "recording",
-    DataFormat.MCAP: "recording.mcap",
-    DataFormat.EUROC: "recording",
-    DataFormat.TUM: "recording",
-    DataFormat.KITTI: "recording",
-}
-"""Names of recordings: Rosbag1 and Mcap are files, the others are folders."""
 
 
 class RecordingWriter:

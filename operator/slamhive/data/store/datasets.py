@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from slamhive.data import synthetic
 from slamhive.data.files.fetching import fetch
 from slamhive.data.files.once import make_once
 from slamhive.data.recordings.entries import (
@@ -79,6 +78,8 @@ def materialise(
     folder = made_folder(dataset, datasets)
 
     def make(aside: Path) -> None:
+        from slamhive.data import synthetic  # noqa: PLC0415 - with OpenCV, for those who generate alone
+
         synthetic.generate(spec, aside, progress)
 
     make_once(folder, make)
@@ -195,7 +196,7 @@ def _sensor(entry: dict[str, Any]) -> Sensor:
 
 def _generator_hash() -> str:
     """Hash the generator's own source: another generator makes another recording."""
-    folder = Path(synthetic.__file__).parent
+    folder = Path(__file__).parents[1] / "synthetic"
     sources = sorted(folder.glob("*.py"))
     return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
 
