@@ -13,7 +13,6 @@ import resource
 import signal
 import time
 from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
@@ -61,7 +60,7 @@ def limit_data(more: int) -> None:
 
     Of data and not of addresses: a library's code costs nothing that is not there already.
     """
-    with Path("/proc/self/status").open(encoding="ascii", errors="replace") as status:
+    with open("/proc/self/status", encoding="ascii", errors="replace") as status:  # noqa: PTH123 - pathlib takes long to import
         has = next((int(line.split()[1]) << 10 for line in status if line.startswith("VmData:")), 0)
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     most = has + more if hard < 0 else min(has + more, hard)
