@@ -15,6 +15,7 @@ import sys
 import uuid
 from collections import defaultdict
 from contextlib import ExitStack
+from functools import cache
 from pathlib import Path
 from random import Random, SystemRandom
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from aiohttp.client_proto import ResponseHandler
 from hypothesis import settings as hypothesis_settings
+from rosbags.serde import cdr, ros1
 
 from slamhive.data.files.once import evict, in_use
 from slamhive.data.store.datasets import materialise
@@ -141,6 +143,13 @@ def _connections_end_at_once() -> None:
     the test's loop ends before, one is found open when garbage is collected, in whichever test that is.
     """
     ResponseHandler.close = ResponseHandler.abort  # type: ignore[method-assign]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _messages_are_compiled_once() -> None:
+    """Have rosbags compile its functions for a message once, not for each recording."""
+    compiled = cache(lambda lines, new=cdr.compile_lines: new(lines))
+    cdr.compile_lines = ros1.compile_lines = lambda lines: compiled(tuple(lines))
 
 
 @pytest.fixture(autouse=True)

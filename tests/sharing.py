@@ -6,9 +6,11 @@ Collecting takes as long as a hundred tests do: forks have done it when they beg
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
+import time
 import traceback
 import warnings
 from contextlib import suppress
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 
 WORKER = "PYTEST_WORKER"
 """Variable that is set in a worker: other ones run tests at the same time."""
+TIDY_SECONDS = 20.0
+"""From one removal of garbage between units to the next, behind which what is left is looked at no more."""
 PATIENCE_SECONDS = 5.0
 """After Ctrl-C, until workers are interrupted that the terminal has not interrupted."""
 
@@ -204,6 +208,7 @@ class Runner:
         self._session = session
         self._connection = connection
         self._found: list[pytest.TestReport] = []
+        self._tidied = time.monotonic()
 
     def work(self) -> None:
         """Run tests until the end is asked for; leave what went wrong behind them."""
@@ -225,6 +230,10 @@ class Runner:
     def _run(self, numbers: list[int]) -> None:
         """Run a unit; what has the session's scope stays behind the last of its tests."""
         session, config = self._session, self._session.config
+        if time.monotonic() - self._tidied > TIDY_SECONDS:
+            gc.collect()
+            gc.freeze()
+            self._tidied = time.monotonic()
         items: list[Any] = [session.items[number] for number in numbers]
         for item, following in zip(items, [*items[1:], session], strict=True):
             self._found.clear()
