@@ -138,23 +138,25 @@ class _Venv:
         Raises:
             SystemExit: its packages can't be installed.
         """
-        said = self._by_uv()
-        if said:
-            causes = [line for line in said if "cause:" in line] or said
-            _say(f"uv can't install them ({causes[-1].strip()}): pip does, in a minute or three.")
-            said = self._by_pip()
-        if said:
-            sys.exit(
-                "\n".join([*said[-5:], f"{self.folder} could not be made: pip failed, and says why above."])
-            )
-        settle(self.aside, self.folder)
-        (self.aside / STAMP).write_text(stamp, encoding="utf-8")
-        old = self.folder.with_name(f"{self.folder.name}.old")
-        shutil.rmtree(old, ignore_errors=True)
-        if self.folder.exists():
-            self.folder.rename(old)
-        self.aside.rename(self.folder)
-        shutil.rmtree(old, ignore_errors=True)
+        try:
+            said = self._by_uv()
+            if said:
+                causes = [line for line in said if "cause:" in line] or said
+                _say(f"uv can't install them ({causes[-1].strip()}): pip does, in a minute or three.")
+                said = self._by_pip()
+            if said:
+                why = f"{self.folder} could not be made: pip failed, and says why above."
+                sys.exit("\n".join([*said[-5:], why]))
+            settle(self.aside, self.folder)
+            (self.aside / STAMP).write_text(stamp, encoding="utf-8")
+            old = self.folder.with_name(f"{self.folder.name}.old")
+            shutil.rmtree(old, ignore_errors=True)
+            if self.folder.exists():
+                self.folder.rename(old)
+            self.aside.rename(self.folder)
+            shutil.rmtree(old, ignore_errors=True)
+        finally:
+            shutil.rmtree(self.aside, ignore_errors=True)
 
     def _by_uv(self) -> list[str]:
         """Make it by uv, and return what that said where it failed."""
@@ -171,10 +173,13 @@ class _Venv:
 
     def _by(self, uv: str) -> list[str]:
         said: list[str] = []
-        for command in uv_commands(uv, self.python, [*_HASHED, str(self.packages)]):
-            said = self._run(command)
-            if not said:
-                return self._run([uv, "pip", "install", "--python", str(self.python), *_OURS])
+        for arguments in ((*_HASHED, str(self.packages)), _OURS):
+            for command in uv_commands(uv, self.python, arguments):
+                said = self._run(command)
+                if not said:
+                    break
+            if said:
+                break
         return said
 
     def _fetch(self, folder: str) -> list[str]:
@@ -211,19 +216,18 @@ def _pip(python: Path) -> list[str]:
     """
     if importlib.util.find_spec("pip"):
         return [sys.executable, "-m", "pip", "--python", str(python)]
-    if not importlib.util.find_spec("ensurepip"):
-        if os.geteuid() == 0 and shutil.which("apt-get"):
-            subprocess.run(["apt-get", "install", "-y", "-q", "python3-venv"], check=False)
-            importlib.invalidate_caches()
-        if not importlib.util.find_spec("ensurepip"):
-            sys.exit("Python has neither pip nor its venv module: sudo apt-get install python3-venv")
-    # From its wheel, where Python has it: installing it takes longer than all that it is asked for here.
-    folders = (
-        sysconfig.get_config_var("WHEEL_PKG_DIR"),
-        Path(contextlib.__file__).parent / "ensurepip/_bundled",
-    )
-    wheels = [str(path) for folder in folders if folder for path in Path(folder).glob("pip-*.whl")]
-    return [str(python), f"{max(wheels)}/pip"]
+    if not _wheels_of_pip() and os.geteuid() == 0 and shutil.which("apt-get"):
+        subprocess.run(["apt-get", "install", "-y", "-q", "python3-venv"], check=False)
+    if not (wheels := _wheels_of_pip()):
+        sys.exit("Python has neither pip nor its venv module: sudo apt-get install python3-venv")
+    # From the wheel: to install it takes longer than all that it is asked for here.
+    return [str(python), f"{wheels[-1]}/pip"]
+
+
+def _wheels_of_pip() -> list[str]:
+    """Return the wheels from which Python would install pip into an environment."""
+    folders = sysconfig.get_config_var("WHEEL_PKG_DIR"), Path(contextlib.__file__).with_name("ensurepip")
+    return [str(path) for folder in folders if folder for path in sorted(Path(folder).rglob("pip-*.whl"))]
 
 
 @contextlib.contextmanager
