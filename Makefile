@@ -18,12 +18,13 @@ pytest = $(BIN)/python -m pytest -n $(WORKERS) $(1) $(TESTS)
 unexport PYTHONDONTWRITEBYTECODE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test test-cluster test-packages pins cluster-build cluster-up cluster-down images dist docs lint bench bench-scale fuzz fuzz-api fuzz-cluster coverage honest audit install demo-environment crds clean help
+.PHONY: demo test test-cluster test-all test-packages pins cluster-build cluster-up cluster-down images dist docs lint bench bench-scale fuzz fuzz-api fuzz-cluster coverage honest audit install demo-environment crds clean help
 
 help:
 	@echo 'make demo    compare real algorithms on a generated recording'
 	@echo 'make test    run the tests that need neither root nor a cluster nor minutes'
 	@echo 'make test-cluster   run the rest: on a real Kubernetes, with images, with ROS nodes (Debian, root, Go), the slow ones'
+	@echo 'make test-all   both, in one session'
 	@echo 'make lint    style, types, layers, words'
 	@echo 'make docs    the docs site, in site/'
 	@echo 'make images  build the container images'
@@ -61,6 +62,10 @@ test: install
 
 test-cluster: install test-packages cluster-build
 	$(call pytest,-m '$(THE_REST)')
+
+# Both at once: what waits for a cluster goes beside what computes.
+test-all: install test-packages cluster-build
+	$(call pytest)
 
 # What the test cluster is made of; without root, Go or Debian its tests are skipped and say how to have them.
 cluster-build:
