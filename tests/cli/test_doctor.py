@@ -25,6 +25,7 @@ from slamhive.kube.user import readiness as cluster
 from slamhive.local.home.catalog import Workshop
 from slamhive.local.home.folder import Home
 from slamhive.local.programs import readiness
+from slamhive.model.extras import how_to_install
 from slamhive.model.readiness import ReadinessRow, State, missing, there
 
 if TYPE_CHECKING:
@@ -160,8 +161,8 @@ def test_packages_that_are_missing_or_too_old(monkeypatch: pytest.MonkeyPatch) -
     assert rows["packages"].found.startswith("2 of 4 are not there: pyyaml ")
     assert rows["packages"].found.endswith("(needs 99), no-such-package")
     assert rows["extra plot"].found == "without absent"
-    assert rows["extra plot"].costs == "no figures of slamhive-eval"
-    assert rows["extra plot"].helps == "pip install 'slamhive[plot]'"
+    assert rows["extra plot"].costs == "no figures"
+    assert rows["extra plot"].helps == how_to_install("plot")
 
 
 def test_what_is_not_installed_is_unknown() -> None:

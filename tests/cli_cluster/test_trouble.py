@@ -15,6 +15,8 @@ import pytest
 import yaml
 from testcluster.lab import algorithm, dataset, sweep
 
+from slamhive.model.extras import how_to_install
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -129,7 +131,7 @@ def test_without_the_client_for_kubernetes_it_is_said_how_to_have_it() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 1
-    assert "pip install 'slamhive[cluster]'" in " ".join(done.stderr.split())
+    assert how_to_install("cluster") in " ".join(done.stderr.split())
 
 
 def test_the_command_does_not_import_the_client_until_it_is_needed() -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.archive import Archive
+from slamhive.model.extras import how_to_install
 from slamhive.model.results import Outcome, Phase, Result, RunRecord
 
 if TYPE_CHECKING:
@@ -251,7 +252,7 @@ def test_a_library_that_is_missing_is_named(
     words = ["view", "study-0"] if to == "rerun" else ["results", "export", "--to", to, "-o", place / "x"]
     code, _, err = run_command(*words)
     assert code == 2
-    assert f"pip install 'slamhive[{to}]'" in err
+    assert f", of the extra {to}: {how_to_install(to)}\n" in err
     assert len(err.splitlines()) == 1
 
 

@@ -21,6 +21,7 @@ from slamhive.figures.styles import Style
 from slamhive.figures.widths import WIDTHS, parse_width
 from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError
+from slamhive.model.extras import how_to_install
 from slamhive.model.results import Outcome
 from slamhive.reporting.papertables import Statistic
 from slamhive.tables.reading import archive_url, read_archive
@@ -451,9 +452,8 @@ def test_without_matplotlib_a_sentence(
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     code, _, err = slamhive(study, "figure", "box", "-o", tmp_path / "x.pdf")
     assert code == 2
-    assert "figures need the package matplotlib; install slamhive with its extra: slamhive[plot]" in " ".join(
-        err.split()
-    )
+    told = f"a figure needs the package matplotlib, of the extra plot: {how_to_install('plot')}"
+    assert told in " ".join(err.split())
 
 
 def test_limits_are_settled_over_all_panels() -> None:

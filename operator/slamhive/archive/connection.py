@@ -23,6 +23,7 @@ from slamhive.analysis.shapes import MissingShapeError
 from slamhive.archive import schema
 from slamhive.data.files.once import flush
 from slamhive.model.errors import InputError, SystemFault
+from slamhive.model.extras import without
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -123,10 +124,7 @@ def open_engine(parsed: URL, *, read_only: bool = False, held: bool = False) -> 
             **options,
         )
     except ModuleNotFoundError:
-        raise InputError(
-            f"archive {shown(parsed)}: PostgreSQL needs the package psycopg; "
-            "install slamhive with its extra: slamhive[postgresql]"
-        ) from None
+        raise without(f"archive {shown(parsed)}: PostgreSQL", "psycopg", "postgresql") from None
     if parsed.get_backend_name() == "sqlite":
         _tune_sqlite(engine, _SQLITE_READING if read_only else _SQLITE_SETTINGS)
     else:

@@ -7,7 +7,7 @@ import logging
 import os
 from typing import TYPE_CHECKING, Any
 
-from slamhive.bridges.libraries import library
+from slamhive.model.extras import library
 
 if TYPE_CHECKING:
     from pathlib import Path

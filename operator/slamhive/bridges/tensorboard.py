@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slamhive.bridges.gathering import plain
-from slamhive.bridges.libraries import library
+from slamhive.model.extras import library
 
 if TYPE_CHECKING:
     from slamhive.bridges.gathering import Handed

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.bridges.libraries import library
 from slamhive.model.errors import DataError, InputError
+from slamhive.model.extras import library
 from slamhive.model.formats import RecordingFormat
 from slamhive.runfiles.clocks import configuration_of, sensor_times
 from slamhive.runfiles.errors import FileMissingError, FileTooLargeError

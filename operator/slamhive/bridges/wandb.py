@@ -9,8 +9,8 @@ import re
 import shutil
 from typing import TYPE_CHECKING, Any
 
-from slamhive.bridges.libraries import library
 from slamhive.model.canonical import digest as digest_of
+from slamhive.model.extras import library
 
 if TYPE_CHECKING:
     from pathlib import Path

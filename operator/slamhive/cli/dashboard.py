@@ -11,7 +11,7 @@ import typer
 from slamhive.cli.parts.choosing import Also
 from slamhive.cli.parts.console import out, remark
 from slamhive.local.home.folder import Home
-from slamhive.model.errors import InputError
+from slamhive.model.extras import without
 from slamhive.tables.homes import homes_beside
 
 DEFAULT_PORT = 8323
@@ -49,10 +49,7 @@ def dashboard(
         from slamhive.dashboard.sources.archived import Workstation
         from slamhive.dashboard.sources.homes import Homes
     except ModuleNotFoundError as error:
-        raise InputError(
-            f"the dashboard needs the package {error.name}; "
-            "install slamhive with its extra: slamhive[dashboard]"
-        ) from None
+        raise without("the dashboard", error.name, "dashboard") from None
     home = Home.from_environment()
     others = homes_beside(home, also)
     listening = listen(host, port)

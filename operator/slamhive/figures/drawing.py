@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 import textwrap
 from itertools import chain
@@ -14,7 +13,7 @@ import numpy as np
 from slamhive.figures.pictures import Box, Dots, Line, MissingMark, PictureAxis, Ranges, Tiles
 from slamhive.figures.styles import SCALE, Style
 from slamhive.figures.widths import MM
-from slamhive.model.errors import InputError
+from slamhive.model import extras
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -48,12 +47,7 @@ def library(name: str) -> Any:
     Raises:
         InputError: it isn't installed.
     """
-    try:
-        return importlib.import_module(f"matplotlib.{name}" if name else "matplotlib")
-    except ModuleNotFoundError as error:
-        raise InputError(
-            f"figures need the package {error.name}; install slamhive with its extra: slamhive[plot]"
-        ) from None
+    return extras.library(f"matplotlib.{name}" if name else "matplotlib", "plot", "a figure")
 
 
 class Drawing:

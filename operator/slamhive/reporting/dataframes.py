@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
 import uuid
@@ -14,7 +13,8 @@ import numpy as np
 
 from slamhive.analysis.columns import ColumnKind
 from slamhive.analysis.selection import Selection, choose
-from slamhive.model.errors import InputError, UnknownNameError
+from slamhive.model import extras
+from slamhive.model.errors import UnknownNameError
 from slamhive.tables.homes import homes_beside, read_homes
 from slamhive.tables.reading import archive_url, home_of, read_archive
 
@@ -50,7 +50,7 @@ def results(
     """Return the archive's rows as a data frame; see ``slamhive.results``."""
     if frame not in MAKERS:
         raise UnknownNameError("kind of data frame", str(frame), MAKERS, "frame")
-    library = _library(frame)
+    library = extras.library(frame, frame, f"frame={frame!r}")
     sweeps = () if sweep is None else (sweep,) if isinstance(sweep, str) else tuple(sweep)
     selection = Selection(sweeps, evaluation, where, superseded=superseded, each=reused)
     own = replace(home_of(place), archive_url=archive_url(place))
@@ -94,15 +94,6 @@ def source(frame: Any) -> tuple[Frame, Home, Sequence[Beside]] | None:
     the other ones.
     """
     return _MADE_FROM.get(frame.attrs.get(MARK, ""))
-
-
-def _library(name: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError:
-        raise InputError(
-            f"frame={name!r} needs the package {name}; install slamhive with its extra: slamhive[{name}]"
-        ) from None
 
 
 def _pandas(library: Any, frame: Frame, names: Sequence[str]) -> Any:

@@ -17,6 +17,7 @@ from pydantic import Field, ValidationError
 
 from slamhive.model.base import Model, explain
 from slamhive.model.errors import InputError, SystemFault
+from slamhive.model.extras import without
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -236,7 +237,7 @@ def _opened(url: str, protocol: str, options: dict[str, Any]) -> tuple[AbstractF
     try:
         import fsspec  # noqa: PLC0415 - an extra, and for those alone who have a store
     except ImportError:
-        raise InputError("object storage needs fsspec: pip install 'slamhive[s3]'") from None
+        raise without("object storage", "fsspec", "s3") from None
     try:
         system, base = fsspec.url_to_fs(url, skip_instance_cache=True, use_listings_cache=False, **options)
     except ImportError as error:

@@ -15,6 +15,7 @@ import typer
 
 from slamhive.model.base import Choice
 from slamhive.model.errors import SlamHiveError
+from slamhive.model.extras import how_to_install
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -54,7 +55,7 @@ def cluster_client() -> Iterator[None]:
         if (error.name or "").partition(".")[0] not in {"kubernetes", "aiohttp"}:
             raise
         raise SlamHiveError(
-            "clusters need the client for Kubernetes, which is not installed: pip install 'slamhive[cluster]'"
+            f"clusters need the client for Kubernetes, which is not installed: {how_to_install('cluster')}"
         ) from None
 
 
