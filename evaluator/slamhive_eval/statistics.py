@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from functools import cache
-from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -92,6 +91,8 @@ def student_quantile(share: float, degrees: int) -> float:
         the expansion around the normal distribution (26.7.5), to nine digits.
     """
     if degrees > _LONG_SERIES:
+        from statistics import NormalDist  # noqa: PLC0415 - it takes longer than all of this module
+
         z = NormalDist().inv_cdf(share)
         return z + (z**3 + z) / (4 * degrees) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * degrees**2)
     low, high = 0.0, math.pi / 2.0
