@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `make demo` installs is enough for what the README shows; what isn't there says how to have it."""
+"""Environment of `make demo`: enough for what the README shows, and what isn't there says how to have it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-
-from slamhive.local.programs.checkout import make_environment
+from checkout import make_environment
 
 if TYPE_CHECKING:
     from collections.abc import Callable

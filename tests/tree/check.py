@@ -52,7 +52,6 @@ CALLED_BY_OTHERS = {
     *("seekable", "ignore_aliases", "_undefined_message"),  # by zipfile, PyYAML, Jinja
     "Writer",  # by bridges/exporting.py, of the module that the user names
     *("put_runs", "put_catalog"),  # by tests and benches alone, which fill archives with thousands of runs
-    "is_known",  # by the test that holds all numbers of a run to the table of measures
 }
 
 

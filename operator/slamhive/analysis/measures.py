@@ -203,12 +203,6 @@ def _listed(column: str) -> Measure | None:
     return replace(found, name=column, text=text, unit=unit, short=found.short or text)
 
 
-def is_known(column: str) -> bool:
-    """Tell whether the table has a row for a column."""
-    beside = BESIDE.fullmatch(column)
-    return _listed(beside[2] if beside else column) is not None
-
-
 def is_error(column: str) -> bool:
     """Tell whether a column is an error, of a run's trajectory or of one beside it: failed runs rank last."""
     return measure_of(column).is_error

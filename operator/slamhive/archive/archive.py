@@ -143,9 +143,7 @@ class Archive:
         """Write many runs, in transactions of 500, and return their number."""
         iterator, total = iter(records), 0
         while batch := list(islice(iterator, BATCH)):
-            rows = [run_row(record) for record in batch]
-            with writing(self._engine) as connection:
-                self._put(connection, batch, rows)
+            self.put_used([(record, None, None) for record in batch])
             total += len(batch)
         return total
 

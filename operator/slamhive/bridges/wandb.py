@@ -49,7 +49,7 @@ class Writer:
             dir=str(self._folder),
             id=number,
             name=run.name,
-            project=_project(run.sweep),
+            project=re.sub(r"[/\\#?%:]+", "-", run.sweep)[:128],
             group=run.sweep,
             job_type=run.tags.get("algorithm"),
             tags=_tags(run),
@@ -89,10 +89,6 @@ class Writer:
 def _tags(run: Handed) -> list[str]:
     words = ("sweep", "dataset", "repetition", "uid")
     return [f"{word}:{run.tags[word]}"[:_MOST_TAG] for word in words if word in run.tags]
-
-
-def _project(sweep: str) -> str:
-    return re.sub(r"[/\\#?%:]+", "-", sweep)[:128]
 
 
 def _written(folder: Path) -> Any:

@@ -15,7 +15,7 @@ from slamhive.analysis.grouping import where_equal
 from slamhive.analysis.metrics import Metric
 from slamhive.analysis.selection import Selection, choose
 from slamhive.cli.parts import tables
-from slamhive.cli.parts.console import emit, out, remark, speaks_json
+from slamhive.cli.parts.console import emit, out, plural, remark, speaks_json
 from slamhive.cli.results import TABLE_METRICS, usual_columns
 from slamhive.local.running.outlook import moment_text
 from slamhive.model.errors import InputError
@@ -128,7 +128,11 @@ def _why(job: Job, edit: Edit) -> str:
 
 
 def _print(job: Job, edit: Edit) -> None:
-    since = f" ({moment_text(_moment(edit.before.last))})" if edit.before.last is not None else ""
+    since = (
+        f" ({moment_text(datetime.fromtimestamp(edit.before.last, UTC))})"
+        if edit.before.last is not None
+        else ""
+    )
     out.print()
     out.print(
         f"Before and after: {edit.name} {edit.before.version}{since} → {edit.after.version}{_why(job, edit)}",
@@ -148,21 +152,12 @@ def _print(job: Job, edit: Edit) -> None:
         last = told
     tables.show(out, headings, lines)
     if edit.unpaired:
-        remark(
-            f"{_settings(edit.unpaired)} of the sweep ran with one of the two versions alone: not compared"
-        )
+        settings = plural(edit.unpaired, "setting")
+        remark(f"{settings} of the sweep ran with one of the two versions alone: not compared")
     if any(edit.disturbed):
         before, after = edit.disturbed
         counts = f"{before} of {edit.before.runs} runs before and {after} of {edit.after.runs} after"
         remark(f"{counts} shared their cores with other work or were throttled: mind that in CPU and memory")
-
-
-def _moment(seconds: float) -> datetime:
-    return datetime.fromtimestamp(seconds, UTC)
-
-
-def _settings(count: int) -> str:
-    return "1 setting" if count == 1 else f"{count} settings"
 
 
 def _varies(lines: Sequence[EditLine], name: str) -> bool:
