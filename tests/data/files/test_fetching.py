@@ -219,6 +219,83 @@ def test_a_server_without_parts_or_with_another_file_begins_afresh(
     assert "comes from its start again" in said[0]
 
 
+class Replacing(list[Any]):
+    """Drops of a server, with whose first one a file is replaced by another of its size."""
+
+    def __init__(self, path: Path, drops: list[int | None]) -> None:
+        super().__init__(drops)
+        self._path = path
+
+    def pop(self, at: Any = -1) -> Any:
+        drop = super().pop(at)
+        self._path.write_bytes(LARGE[::-1])
+        return drop
+
+
+@pytest.mark.parametrize(("known_by", "heeds"), [("weak", True), ("tag", False), ("time", False)])
+def test_halves_of_two_files_are_never_joined(large: Any, tmp_path: Path, known_by: str, heeds: bool) -> None:
+    large.known_by, large.heeds = known_by, heeds
+    large.drops = Replacing(large.folder / "large.bag", [1 << 20])
+    said: list[str] = []
+    progress = fetching.FetchProgress(notify=said.append)
+    fetching.fetch_file(wanted(large), tmp_path / "large.bag", progress)
+    assert (tmp_path / "large.bag").read_bytes() == LARGE[::-1]
+    assert "is another file now" in said[0]
+
+
+@pytest.mark.parametrize(("known_by", "asked"), [("nothing", 1), ("weak", 0)])
+def test_a_file_without_marks_is_begun_anew_by_the_next_process(
+    large: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, known_by: str, asked: int
+) -> None:
+    large.known_by, large.drops = known_by, [1 << 20, 1 << 19, 1 << 19]
+    monkeypatch.setattr(fetching, "PAUSES", (0.0,))
+    with pytest.raises(SystemFault):  # though all answers went on with the first one
+        fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+    if asked:
+        (large.folder / "large.bag").write_bytes(LARGE[::-1])
+    fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+    assert (tmp_path / "large.bag").read_bytes() == (large.folder / "large.bag").read_bytes()
+    assert large.sent == len(LARGE) + asked * (2 << 20)
+
+
+@pytest.mark.parametrize("changes", [False, True])
+def test_answers_that_bring_next_to_nothing_are_given_up(
+    large: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changes: bool
+) -> None:
+    monkeypatch.setattr(fetching, "PAUSES", (0.0,) * 3)
+    path = large.folder / "large.bag"
+
+    class Dripping(list[Any]):
+        def __bool__(self) -> bool:
+            return True
+
+        def pop(self, _at: Any = -1) -> Any:
+            if changes:
+                path.write_bytes(bytes([path.read_bytes()[0] ^ 1]) + LARGE[1:])
+            return 1000
+
+    large.drops = Dripping()
+    with pytest.raises(SystemFault, match=r"large: https://.*(of 4,194,304 bytes|changed on the server)"):
+        fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+    assert len(large.asked) <= 5
+
+
+def test_what_takes_for_ever_is_given_up(large: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fetching, "PATIENCE_SECONDS", -600.0)
+    large.drops = [1 << 20]
+    with pytest.raises(SystemFault, match="given up after 0 min; what came stays"):
+        fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+    fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+    assert large.sent == len(LARGE)
+
+
+def test_an_answer_without_an_end_may_have_been_cut(large: Any, tmp_path: Path) -> None:
+    large.measured = False
+    said: list[str] = []
+    fetching.fetch_file(wanted(large), tmp_path / "large.bag", fetching.FetchProgress(notify=said.append))
+    assert said == [f"large: {large.url}/large.bag: no end was told: it may have been cut"]
+
+
 def test_wrong_bytes_are_fetched_again_once(large: Any, tmp_path: Path) -> None:
     large.wrong = {"/large.bag": 5000}
     sha256 = hashlib.sha256(LARGE).hexdigest()

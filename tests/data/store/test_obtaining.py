@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import io
 import json
 import os
@@ -165,6 +166,36 @@ def test_a_server_without_parts_sends_the_whole_archive_once(halls: Any, tmp_pat
     obtain(find_sequence("test/B"), tmp_path / "b", "b", downloads)
     assert halls.sent == sent
     assert "hall.zip" in (downloads / "known-sums.json").read_text()
+
+
+def test_what_was_cut_leaves_no_checksum_behind(halls: Any, tmp_path: Path) -> None:
+    halls.by_ranges = halls.measured = False
+    halls.drops = [None, 100_000]  # the first answer is the look whether it sends parts
+    said: list[str] = []
+    listener = Listener(notify=said.append)
+    obtain(find_sequence("test/A"), tmp_path / "a", "a", tmp_path / "d", listener=listener)
+    assert any("no end was told: it may have been cut" in sentence for sentence in said)
+    assert any("fetched again" in sentence for sentence in said)
+    sums = json.loads((tmp_path / "d" / "known-sums.json").read_text())
+    whole = hashlib.sha256((halls.folder / "hall.zip").read_bytes()).hexdigest()
+    assert [entry["sha256"] for entry in sums.values()] == [whole]
+
+
+def test_a_bag_that_was_cut_is_fetched_again(
+    site: Any, catalogue: Any, tmp_path: Path, bag_with_truth: Any
+) -> None:
+    bag_with_truth(tmp_path)
+    (tmp_path / "walk.bag").rename(site.folder / "walk.bag")
+    site.measured, site.drops = False, [20_000]
+    head = HEAD.replace("Euroc", "Bag").replace("left: Camera, right: Camera", "lidar: Lidar")
+    parts = f'parts: {{bag: {{url: "{site.url}/walk.bag"}}}}'
+    recording = "{recording: {files: [{path: walk.bag}]}, sensors: {lidar: {type: Lidar, topic: /points}}}"
+    catalogue(f"{parts}\ndataset: {recording}\nsequences: {{walk: }}\n", head)
+    said: list[str] = []
+    listener = Listener(notify=said.append)
+    obtain(find_sequence("test/walk"), tmp_path / "out", "walk", tmp_path / "d", listener=listener)
+    assert (tmp_path / "out" / "walk.bag").read_bytes() == (site.folder / "walk.bag").read_bytes()
+    assert any("fetched again" in sentence for sentence in said)
 
 
 def test_a_broken_member_is_fetched_again_once(halls: Any, tmp_path: Path) -> None:

@@ -36,6 +36,8 @@ LEFT_BYTES = 1 << 30
 STALL_SECONDS = TIMEOUT_SECONDS
 """Seconds in which at least `STALL_BYTES` must come: a server that sends a byte now and then is no use."""
 STALL_BYTES = 1 << 20
+PATIENCE_SECONDS = 600.0
+"""Seconds that a fetch may take beside those in which its bytes must come."""
 PAUSES = (0.5, 1.0, 2.0, 4.0, 8.0)
 """Seconds before further tries after an interruption; bytes that come start the count again."""
 BLOCK = 1 << 18
@@ -224,20 +226,28 @@ def fetch_span(  # noqa: PLR0917 - what, from where, to where, which part
         SystemFault: No address sends it.
     """
     problems: list[str] = []
+    began, most = time.monotonic(), partial.held
     for url in urls:
         tries = list(PAUSES)
         while True:
-            before = partial.held
             try:
                 _attempt(_FetchOrder(wanted, url, partial, progress, running), span)
             except DiskFault:
                 raise
             except SystemFault as error:
-                if partial.held > before:
-                    tries = list(PAUSES)
+                # Bytes are progress, answers are none: a file that changes each time never comes to its end.
+                if partial.held >= most + STALL_BYTES:
+                    tries, most = list(PAUSES), partial.held
                 if not isinstance(error, Interrupted) or not tries:
                     problems.append(f"{url}: {error}")
                     break
+                # A minute for each MiB, and ten more, are enough for any line.
+                minutes = (time.monotonic() - began) / 60
+                if minutes > (PATIENCE_SECONDS + most / STALL_BYTES * STALL_SECONDS) / 60:
+                    raise SystemFault(
+                        f"{wanted.what}: {url}: {error}; given up after {minutes:.0f} min; what came "
+                        "stays, and the same command goes on"
+                    ) from None
                 time.sleep(tries.pop(0))
             else:
                 return
@@ -310,14 +320,41 @@ def _attempt(order: _FetchOrder, span: tuple[int, int | None]) -> None:
         until = min(ahead + ([] if end is None else [end]), default=None)
         if order.running is not None:
             order.running.catch_up(start)
-        validator = partial.validator if partial.url == order.url else None
+        condition = partial.validators.condition if partial.url == order.url else None
         asked_end = until if ahead or span[1] is not None else None
-        with open_url(order.url, start, asked_end, validator) as answer:
+        with open_url(order.url, start, asked_end, condition) as answer:
+            if forget_another(partial, order.url, answer, has_sum=order.wanted.sha256 is not None):
+                if span[1] is not None:
+                    raise SystemFault("the file changed on the server meanwhile")
+                if answer.start:
+                    order.progress.notify(
+                        f"{order.where}: is another file now: it comes from its start again"
+                    )
+                    raise Interrupted("the file changed on the server")
+                until = None
             if not _is_same(order, answer, start):
                 if span[1] is not None:
-                    raise SystemFault("the server sends no parts of files, or the file changed meanwhile")
+                    raise SystemFault("the server sends no parts of files")
                 until = None
             _copy(order, answer, until)
+
+
+def forget_another(partial: Partial, url: str, answer: HttpsResponse, *, has_sum: bool = False) -> bool:
+    """Forget what is there if an answer is of another file, or nobody can tell; tell whether that was so.
+
+    Without a mark in both answers a file is gone on with in one process alone, unless its checksum is known.
+    Another address may have other marks: it is asked only where a checksum tells in the end.
+    """
+    differ = partial.validators.differ(answer.validators) if partial.url == url else False
+    is_doubtful = differ is None and not partial.begun_here and not has_sum
+    is_another = bool(partial.spans) and (
+        bool(differ)
+        or is_doubtful
+        or (answer.total is not None and partial.total not in {None, answer.total})
+    )
+    if is_another:
+        partial.forget()
+    return is_another
 
 
 def _is_same(order: _FetchOrder, answer: HttpsResponse, start: int) -> bool:
@@ -325,9 +362,6 @@ def _is_same(order: _FetchOrder, answer: HttpsResponse, start: int) -> bool:
     wanted, partial = order.wanted, order.partial
     if answer.total is not None and wanted.size is not None and answer.total != wanted.size:
         raise DataError(f"{order.where}: has {answer.total:,} bytes, expected {wanted.size:,}")
-    if answer.total is not None and partial.total not in {None, answer.total}:
-        partial.forget()
-        raise Interrupted("the file changed on the server")
     is_same = answer.start == start
     if not is_same:
         order.progress.notify(
@@ -335,7 +369,7 @@ def _is_same(order: _FetchOrder, answer: HttpsResponse, start: int) -> bool:
         )
         partial.forget()
     _require_room((answer.total or 0) - partial.held, order.room, order)
-    partial.begin(order.url, answer.validator, answer.total)
+    partial.begin(order.url, answer.validators, answer.total)
     return is_same
 
 
@@ -365,6 +399,8 @@ def _copy(order: _FetchOrder, answer: HttpsResponse, until: int | None) -> None:
                 raise Interrupted(f"less than {STALL_BYTES >> 20} MiB came in {STALL_SECONDS} s")
     order.progress.count(partial.held, answer.total)
     if expected is None:
+        if not answer.tells_end:
+            order.progress.notify(f"{order.where}: no end was told: it may have been cut")
         partial.total = at
     elif at < expected:
         raise Interrupted(f"ended after {at:,} of {expected:,} bytes")

@@ -37,6 +37,33 @@ class Interrupted(SystemFault):
     reason = "Interrupted"
 
 
+@dataclass(frozen=True)
+class Validators:
+    """Marks by which a server knows a state of a file.
+
+    Attributes:
+        etag: Its tag; one that begins with ``W/`` is weak: it says nothing of single bytes.
+        modified: Time of its last change, as the server writes it.
+    """
+
+    etag: str | None = None
+    modified: str | None = None
+
+    def __bool__(self) -> bool:
+        return bool(self.etag or self.modified)
+
+    @property
+    def condition(self) -> str | None:
+        """Return the mark for If-Range, by which a server goes on with no other file (RFC 9110, 13.1.5)."""
+        return self.modified if self.etag is None else None if self.etag.startswith("W/") else self.etag
+
+    def differ(self, others: Validators) -> bool | None:
+        """Tell whether two answers are of different files; None where they have no mark in common."""
+        pairs = ((self.etag, others.etag), (self.modified, others.modified))
+        known = [mine != theirs for mine, theirs in pairs if mine and theirs]
+        return any(known) if known else None
+
+
 @dataclass
 class HttpsResponse:
     """Response of an https server to a request for a file; a context manager that closes it.
@@ -44,14 +71,16 @@ class HttpsResponse:
     Attributes:
         start: Number of the first byte that comes; 0 where the server sends everything anew.
         total: Size of the whole file, bytes; None where the server doesn't say.
-        validator: What the server knows this state of the file by: its ETag, or its time of change.
+        validators: What the server knows this state of the file by.
         by_ranges: Whether the server sends parts of the file.
+        tells_end: Whether the answer says where it ends, by a length or in chunks: else a cut looks like it.
     """
 
     start: int
     total: int | None
-    validator: str | None
+    validators: Validators
     by_ranges: bool
+    tells_end: bool
     _response: Any
 
     def __enter__(self) -> Self:
@@ -69,18 +98,34 @@ class HttpsResponse:
         try:
             data: bytes = self._response.read1(size)
         except (OSError, HTTPException) as error:
-            raise Interrupted(str(error)) from None
+            raise Interrupted(printable(str(error))) from None
         return data
 
+    def read_page(self) -> str:
+        """Return the text of a page, at most 1 MiB of it, in however many records it comes.
 
-def open_url(url: str, start: int = 0, end: int | None = None, validator: str | None = None) -> HttpsResponse:
+        Raises:
+            Interrupted: The connection is lost.
+        """
+        page = b""
+        while len(page) < _PAGE_BYTES and (block := self.read(_PAGE_BYTES - len(page))):
+            page += block
+        return page.decode("utf-8", "replace")
+
+
+def printable(text: str) -> str:
+    """Return what a server says without what would move a terminal's cursor, at most 200 letters of it."""
+    return "".join(letter if letter.isprintable() else "�" for letter in text[:200])
+
+
+def open_url(url: str, start: int = 0, end: int | None = None, condition: str | None = None) -> HttpsResponse:
     """Ask for a file.
 
     Args:
         url: Its https address. A page of Google Drive that asks for a confirmation is confirmed.
         start: The first byte wanted.
         end: The byte after the last one wanted; None for the rest.
-        validator: What an earlier answer was known by: if the file is another one now, it comes from 0 on.
+        condition: A mark of an earlier answer: if the file is another one now, it comes from 0 on.
 
     Raises:
         DataError: The address leads away from https, or to a page instead of a file.
@@ -88,18 +133,18 @@ def open_url(url: str, start: int = 0, end: int | None = None, validator: str | 
         Interrupted: Another try may succeed.
         SystemFault: The server has no such file, or refuses it.
     """
-    answer = _open(url, start, end, validator)
+    answer = _open(url, start, end, condition)
     if not _is_page(answer, url):
         return answer
     with answer:
-        page = _HtmlPage(answer.read(_PAGE_BYTES).decode("utf-8", "replace"))
+        page = _HtmlPage(answer.read_page())
     target = page.confirmation(url)
     if target is None:
         raise DataError(
             f"{url} leads to a page, {page.title!r}, not to a file: it may want a login or a click; open it "
             "in a browser"
         )
-    answer = _open(target, start, end, validator)
+    answer = _open(target, start, end, condition)
     if _is_page(answer, url):
         with answer:
             raise SystemFault(f"{url}: answers a page again after its confirmation; try again later")
@@ -118,7 +163,7 @@ class _HttpsAlone(urllib.request.HTTPRedirectHandler):
 
 def _require_https(target: str, source: str) -> None:
     if not target.lower().startswith("https://"):
-        raise DataError(f"{source} leads to {target[:200]}, expected an https:// address")
+        raise DataError(f"{source} leads to {printable(target)}, expected an https:// address")
 
 
 def trusted() -> ssl.SSLContext:
@@ -139,15 +184,14 @@ def trusted() -> ssl.SSLContext:
     return context
 
 
-def _open(url: str, start: int, end: int | None, validator: str | None) -> HttpsResponse:
+def _open(url: str, start: int, end: int | None, condition: str | None) -> HttpsResponse:
     _require_https(url, "the address")
     # A compressed answer would have other bytes than the file.
     request = urllib.request.Request(url, headers={"Accept-Encoding": "identity", "User-Agent": "slamhive"})  # noqa: S310
     if start or end is not None:
         request.add_header("Range", f"bytes={start}-{'' if end is None else end - 1}")
-        # Weak tags say nothing of bytes.
-        if validator is not None and not validator.startswith("W/"):
-            request.add_header("If-Range", validator)
+        if condition is not None:
+            request.add_header("If-Range", condition)
     opener = urllib.request.build_opener(_HttpsAlone, urllib.request.HTTPSHandler(context=trusted()))
     try:
         response = opener.open(request, timeout=TIMEOUT_SECONDS)
@@ -156,26 +200,28 @@ def _open(url: str, start: int, end: int | None, validator: str | None) -> Https
         if error.code == 416 and start:
             return _open(url, 0, None, None)
         kind = Interrupted if error.code in _AGAIN else SystemFault
-        raise kind(f"HTTP Error {error.code}: {error.reason}") from None
+        raise kind(printable(f"HTTP Error {error.code}: {error.reason}")) from None
     except (OSError, HTTPException) as error:
-        raise Interrupted(str(getattr(error, "reason", error))) from None
+        raise Interrupted(printable(str(getattr(error, "reason", error)))) from None
     return _answer(response, start)
 
 
 def _answer(response: Any, start: int) -> HttpsResponse:
     headers = response.headers
-    validator = headers.get("ETag") or headers.get("Last-Modified")
+    validators = Validators(headers.get("ETag"), headers.get("Last-Modified"))
     length = headers.get("Content-Length")
     if response.status == 206:
         match = _RANGE.fullmatch(headers.get("Content-Range", ""))
         if match is None or int(match[1]) != start:
             response.close()
-            raise Interrupted(f"sent another range than bytes {start}-: {headers.get('Content-Range')}")
+            found = printable(str(headers.get("Content-Range")))
+            raise Interrupted(f"sent another range than bytes {start}-: {found}")
         total = None if match[3] == "*" else int(match[3])
-        return HttpsResponse(start, total, validator, by_ranges=True, _response=response)
+        return HttpsResponse(start, total, validators, by_ranges=True, tells_end=True, _response=response)
     total = int(length) if length and length.isdecimal() else None
     by_ranges = headers.get("Accept-Ranges", "").strip().lower() == "bytes"
-    return HttpsResponse(0, total, validator, by_ranges=by_ranges, _response=response)
+    tells_end = total is not None or response.chunked
+    return HttpsResponse(0, total, validators, by_ranges, tells_end, response)
 
 
 def _is_page(answer: HttpsResponse, url: str) -> bool:
@@ -193,7 +239,7 @@ class _HtmlPage(HTMLParser):
         self._action: str | None = None
         self._fields: list[tuple[str, str]] = []
         self.feed(text)
-        self.title = " ".join(self.title.split())[:100]
+        self.title = printable(" ".join(self.title.split()))[:100]
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         known = {name: value or "" for name, value in attrs}

@@ -18,6 +18,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from slamhive.data.files.https import Validators
 from slamhive.model.errors import SystemFault
 
 if TYPE_CHECKING:
@@ -48,18 +49,20 @@ class Partial:
 
     Attributes:
         url: Where the bytes came from.
-        validator: What the server knew the file by.
+        validators: What the server knew the file by.
         total: Size of the whole file, bytes; None where nobody has said.
         spans: What is there, ascending and apart.
+        begun_here: Whether this process asked for all of it.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._state, self._at = path.with_suffix(".state"), path.with_suffix(".at")
         self.url: str | None = None
-        self.validator: str | None = None
+        self.validators = Validators()
         self.total: int | None = None
         self.spans: list[Span] = []
+        self.begun_here = True
         self._flushed: list[Span] = []
         self._since = 0
         self._descriptor: int | None = None
@@ -77,7 +80,9 @@ class Partial:
             if known["boot"] == _boot():
                 spans = _with([(int(first), int(end)) for first, end in known["spans"]], self._growing())
             self.spans = [(int(first), int(end)) for first, end in spans if int(end) <= size]
-            self.url, self.validator, self.total = known["url"], known["validator"], known["total"]
+            self.url, self.total = known["url"], known["total"]
+            self.validators = Validators(*known["validators"])
+            self.begun_here = not self.spans
         except (OSError, ValueError, KeyError, TypeError):
             self.forget()
         self._flushed = list(self.spans)
@@ -91,9 +96,9 @@ class Partial:
         """Return up to where the bytes from one on are there without a hole."""
         return next((end for first, end in self.spans if first <= start < end), start)
 
-    def begin(self, url: str, validator: str | None, total: int | None) -> None:
+    def begin(self, url: str, validators: Validators, total: int | None) -> None:
         """Note what is fetched from now on."""
-        self.url, self.validator, self.total = url, validator, total
+        self.url, self.validators, self.total = url, validators, total
 
     def write(self, at: int, data: bytes | memoryview) -> None:
         """Write bytes at their place and note that they are there.
@@ -194,7 +199,8 @@ class Partial:
         """Remove all of it."""
         self.close()
         self.spans, self._flushed = [], []
-        self.url = self.validator = self.total = None
+        self.url = self.total = None
+        self.validators, self.begun_here = Validators(), True
         with suppress(OSError):
             self._at.unlink(missing_ok=True)
             self._state.unlink(missing_ok=True)
@@ -216,7 +222,7 @@ class Partial:
     def _save(self) -> None:
         state: dict[str, Any] = {
             "url": self.url,
-            "validator": self.validator,
+            "validators": [self.validators.etag, self.validators.modified],
             "total": self.total,
             "boot": _boot(),
             "spans": self.spans,

@@ -11,7 +11,14 @@ import io
 import zipfile
 from typing import TYPE_CHECKING
 
-from slamhive.data.files.fetching import FetchProgress, WantedFile, fetch_span, one_at_a_time, partial_path
+from slamhive.data.files.fetching import (
+    FetchProgress,
+    WantedFile,
+    fetch_span,
+    forget_another,
+    one_at_a_time,
+    partial_path,
+)
 from slamhive.data.files.https import open_url
 from slamhive.data.files.partial import Partial
 from slamhive.model.errors import DataError, SystemFault
@@ -124,11 +131,8 @@ class _Remote(io.RawIOBase):
         self._wanted, self._url, self._partial = wanted, url, partial
         self._at = 0
         with open_url(url, 0, 1) as answer:
-            if partial.total not in {None, answer.total} or (
-                partial.validator not in {None, answer.validator} and partial.url == url
-            ):
-                partial.forget()  # another file than before
-            partial.begin(url, answer.validator, answer.total)
+            forget_another(partial, url, answer)
+            partial.begin(url, answer.validators, answer.total)
         self._size = partial.total or 0
 
     def seekable(self) -> bool:

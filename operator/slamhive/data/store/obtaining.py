@@ -98,6 +98,7 @@ def obtain(
                         for title, part in sequence.parts.items()
                     }
                     _publish(sequence, work, out, name, listener)
+                    shop.remember()
                 finally:
                     shutil.rmtree(work, ignore_errors=True)
                 for title, path in taken.items():
@@ -146,18 +147,8 @@ def _take(shop: _Shop, title: str, part: Part, work: Path, *, keep_archive: bool
     for again in (False, True):
         path = shop.bring(title, part)
         work.mkdir(exist_ok=True)
-        if part.members is None:
-            with disk_words(shop.sequence.title, path):
-                _link(path, work / part.name)
-            break
-        shop.listener.step(f"unpacking {part.name}")
-        held = max(path.stat().st_blocks * 512, 1)
-
-        def share(done: int, held: int = held) -> None:
-            shop.listener.share(min(done / held, 1.0))
-
         try:
-            unpack(path, part.members, work, share, title=f"{shop.sequence.title}: {part.name}")
+            _bring_out(shop, part, path, work)
         except DamagedArchiveError as error:
             if again or part.manual is not None:
                 raise
@@ -177,6 +168,45 @@ def _take(shop: _Shop, title: str, part: Part, work: Path, *, keep_archive: bool
         )
         return None
     return None if part.manual is not None else path
+
+
+def _bring_out(shop: _Shop, part: Part, path: Path, work: Path) -> None:
+    """Put what is wanted of a part's file into a folder.
+
+    Raises:
+        DamagedArchiveError: The file isn't whole.
+        DataError: It has not what the catalogue says.
+        SystemFault: The disk refuses.
+    """
+    if part.members is None:
+        with disk_words(shop.sequence.title, path):
+            _link(path, work / part.name)
+        _require_readable(path)
+        return
+    shop.listener.step(f"unpacking {part.name}")
+    held = max(path.stat().st_blocks * 512, 1)
+    unpack(
+        path,
+        part.members,
+        work,
+        lambda done: shop.listener.share(min(done / held, 1.0)),
+        title=f"{shop.sequence.title}: {part.name}",
+    )
+
+
+def _require_readable(path: Path) -> None:
+    """Look whether a file that came as it is, and is a bag, is one to its end.
+
+    Raises:
+        DamagedArchiveError: It isn't.
+    """
+    if path.suffix in {".bag", ".mcap"}:
+        from slamhive.data.recordings.reading import Recording, guess_format  # noqa: PLC0415 - takes a while
+
+        try:
+            Recording([path], guess_format(path)).close()
+        except DataError as error:
+            raise DamagedArchiveError(str(error)) from None
 
 
 def _link(source: Path, target: Path) -> None:
@@ -208,6 +238,12 @@ class _Shop:
     def __init__(self, sequence: CatalogueSequence, downloads: Path, listener: Listener) -> None:
         self.sequence, self.listener = sequence, listener
         self._downloads = downloads
+        self._learned: dict[str, tuple[str, int]] = {}
+
+    def remember(self) -> None:
+        """Note the checksums of what was fetched without a known one, once a dataset was made of it."""
+        for url, (sha256, size) in self._learned.items():
+            _KnownSums(self._downloads / SUMS).add(url, sha256, size)
 
     def require_manual(self) -> None:
         """Check that what is to be fetched by hand is there, before anything else is fetched.
@@ -251,8 +287,7 @@ class _Shop:
         place = self.place(part)
         if place.is_file():
             return place
-        sums = _KnownSums(self._downloads / SUMS)
-        known = sums.get(urls[0])
+        known = _KnownSums(self._downloads / SUMS).get(urls[0])
         wanted = WantedFile(
             urls,
             what,
@@ -278,7 +313,7 @@ class _Shop:
                 ) from None
             raise
         if part.sha256 is None and known is None:
-            sums.add(urls[0], found, place.stat().st_size)
+            self._learned[urls[0]] = found, place.stat().st_size
         return place
 
     def _count(self, held: int, total: int | None) -> None:
