@@ -114,7 +114,7 @@ class HttpsResponse:
 
 
 def printable(text: str) -> str:
-    """Return what a server says without what would move a terminal's cursor, at most 200 letters of it."""
+    """Return words of a server without letters that would move a terminal's cursor, at most 200 of them."""
     return "".join(letter if letter.isprintable() else "�" for letter in text[:200])
 
 
