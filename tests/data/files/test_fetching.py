@@ -243,19 +243,19 @@ def test_halves_of_two_files_are_never_joined(large: Any, tmp_path: Path, known_
     assert "is another file now" in said[0]
 
 
-@pytest.mark.parametrize(("known_by", "asked"), [("nothing", 1), ("weak", 0)])
+@pytest.mark.parametrize("known_by", ["nothing", "weak"])
 def test_a_file_without_marks_is_begun_anew_by_the_next_process(
-    large: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, known_by: str, asked: int
+    large: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, known_by: str
 ) -> None:
     large.known_by, large.drops = known_by, [1 << 20, 1 << 19, 1 << 19]
     monkeypatch.setattr(fetching, "PAUSES", (0.0,))
     with pytest.raises(SystemFault):  # though all answers went on with the first one
         fetching.fetch_file(wanted(large), tmp_path / "large.bag")
-    if asked:
+    if known_by == "nothing":
         (large.folder / "large.bag").write_bytes(LARGE[::-1])
     fetching.fetch_file(wanted(large), tmp_path / "large.bag")
     assert (tmp_path / "large.bag").read_bytes() == (large.folder / "large.bag").read_bytes()
-    assert large.sent == len(LARGE) + asked * (2 << 20)
+    assert (large.asked[-1][1] is None) == (known_by == "nothing")
 
 
 @pytest.mark.parametrize("changes", [False, True])

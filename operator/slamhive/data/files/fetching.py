@@ -13,6 +13,8 @@ import hashlib
 import os
 import shutil
 import time
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
@@ -24,6 +26,7 @@ from slamhive.model.errors import DataError, SlamHiveError, SystemFault
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
+    from concurrent.futures import Future
     from pathlib import Path
 
     from slamhive.data.files.partial import Span
@@ -42,6 +45,8 @@ PAUSES = (0.5, 1.0, 2.0, 4.0, 8.0)
 """Seconds before further tries after an interruption; bytes that come start the count again."""
 BLOCK = 1 << 18
 """Bytes that are written at a time; an end by kill -9 loses those that are on their way."""
+_BLOCKS = 8
+"""Blocks that wait for the checksum at most."""
 _READ = 1 << 14
 """Bytes of a record of TLS: no read gives more."""
 
@@ -407,17 +412,22 @@ def _copy(order: _FetchOrder, answer: HttpsResponse, until: int | None) -> None:
 
 
 class _BlockWriter:
-    """Writes what comes, and adds it to the running checksum, a block at a time."""
+    """Writes what comes, a block at a time, while the last ones are added to the checksum on another core."""
 
     def __init__(self, order: _FetchOrder, at: int) -> None:
         self._order, self._at = order, at
         self._block = bytearray()
+        self._summing = ThreadPoolExecutor(1, "fetched bytes")
+        self._sums: deque[Future[None]] = deque()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._write()
+        try:
+            self._write()
+        finally:
+            self._summing.shutdown()
 
     def put(self, data: memoryview) -> None:
         """Have bytes written behind the last ones.
@@ -437,7 +447,9 @@ class _BlockWriter:
         with disk_words(order.wanted.what, order.partial.path):
             order.partial.write(self._at, memoryview(block))
         if order.running is not None:
-            order.running.update(self._at, memoryview(block))
+            self._sums.append(self._summing.submit(order.running.update, self._at, block))
+            if len(self._sums) > _BLOCKS:
+                self._sums.popleft().result()
         self._at += len(block)
 
 
