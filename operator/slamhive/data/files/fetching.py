@@ -447,7 +447,7 @@ class _BlockWriter:
         with disk_words(order.wanted.what, order.partial.path):
             order.partial.write(self._at, memoryview(block))
         if order.running is not None:
-            self._sums.append(self._summing.submit(order.running.update, self._at, block))
+            self._sums.append(self._summing.submit(order.running.update, self._at, memoryview(block)))
             if len(self._sums) > _BLOCKS:
                 self._sums.popleft().result()
         self._at += len(block)
