@@ -14,6 +14,7 @@ import yaml
 
 from slamhive.archive import Archive
 from slamhive.data.recordings.rosmessages import BagWriter
+from slamhive.model.extras import how_to_install
 from slamhive.model.results import Outcome, Phase, Result, RunRecord
 
 if TYPE_CHECKING:
@@ -126,7 +127,7 @@ def test_a_missing_library_and_wrong_words_are_named(
     monkeypatch.setitem(sys.modules, "rerun", None)
     code, _, err = run_command("view", "study-0")
     assert (code, len(err.splitlines())) == (2, 1)
-    assert "pip install 'slamhive[rerun]'" in err
+    assert f"of the extra rerun: {how_to_install('rerun')}" in err
     (place / "there.rrd").touch()
     assert (
         "is there already; nothing is overwritten" in run_command("view", "study-0", "--save", "there.rrd")[2]
