@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,9 +34,33 @@ def _label(mistake: Mistake) -> str:
     return mistake.label
 
 
-def _dry(cluster: Cluster, body: dict[str, Any]) -> tuple[int, str]:
-    result = cluster.run("apply", "--dry-run=server", "-f", "-", stdin=json.dumps(body))
-    return result.returncode, result.stderr
+Dry = Callable[[dict[str, Any]], tuple[bool, str]]
+
+
+@pytest.fixture(scope="module")
+def dry(crds: Cluster) -> Dry:
+    """Asks the API server for an object that it doesn't keep, and returns whether and why it refuses.
+
+    By one connection: 140 times kubectl take a minute, and say the same.
+    """
+    from kubernetes import client, config
+
+    api = client.CustomObjectsApi(config.new_client_from_config(str(crds.kubeconfig)))
+
+    def create(body: dict[str, Any]) -> tuple[bool, str]:
+        group, _, version = body["apiVersion"].partition("/")
+        place = group, version, "default", f"{body['kind'].lower()}s"
+        asked = {"dry_run": "All", "field_validation": "Strict"}
+        try:
+            _, _, headers = api.create_namespaced_custom_object_with_http_info(*place, body, **asked)
+        except client.ApiException as refusal:
+            told = json.loads(refusal.body)
+            causes = (told.get("details") or {}).get("causes") or ()
+            lines = [f"{cause.get('field')}: {cause['message']}" for cause in causes]
+            return True, "\n".join([told["message"], *lines])
+        return False, headers.get("Warning", "")
+
+    return create
 
 
 def _validate(folder: Path, body: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> str:
@@ -58,34 +83,34 @@ def test_the_table_is_long_and_covers_all_kinds() -> None:
 
 @pytest.mark.parametrize("kind", GOOD)
 def test_what_the_mistakes_are_made_in_is_right(
-    crds: Cluster, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    dry: Dry, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert _dry(crds, manifest(kind, "right")) == (0, "")
+    assert dry(manifest(kind, "right")) == (False, "")
     assert _validate(tmp_path, manifest(kind, "right"), monkeypatch) == ""
 
 
 @pytest.mark.parametrize("mistake", TOLD_BY_SERVER, ids=_label)
-def test_the_api_server_refuses(crds: Cluster, mistake: Mistake) -> None:
-    code, text = _dry(crds, mistake.manifest("wrong"))
-    assert code == 1
+def test_the_api_server_refuses(dry: Dry, mistake: Mistake) -> None:
+    refused, text = dry(mistake.manifest("wrong"))
+    assert refused
     assert any(mistake.field in line and mistake.server in line for line in text.splitlines()), text
 
 
 @pytest.mark.parametrize("place", ["default", "values"])
-def test_texts_of_parameters_have_a_length(crds: Cluster, place: str) -> None:
+def test_texts_of_parameters_have_a_length(dry: Dry, place: str) -> None:
     body = manifest("Algorithm", "long")
     for length, refused in ((TEXT_LIMIT, False), (TEXT_LIMIT + 1, True)):
         text = "x" * length
         values = {"default": text} | ({"values": [text]} if place == "values" else {})
         body["spec"]["parameters"] = {"note": {"type": "String"} | values}
-        code, said = _dry(crds, body)
-        assert (code != 0) is refused
+        found, said = dry(body)
+        assert found is refused
         assert not refused or f"parameters.note.{place}" in said
 
 
 @pytest.mark.parametrize("mistake", UNTOLD, ids=_label)
-def test_the_api_server_cannot_tell(crds: Cluster, mistake: Mistake) -> None:
-    assert _dry(crds, mistake.manifest("wrong")) == (0, "")
+def test_the_api_server_cannot_tell(dry: Dry, mistake: Mistake) -> None:
+    assert dry(mistake.manifest("wrong")) == (False, "")
 
 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=_label)
@@ -94,11 +119,11 @@ def test_validate_refuses(mistake: Mistake, tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_names_are_short_enough_for_labels(crds: Cluster, kind: str) -> None:
-    code, text = _dry(crds, manifest(kind, "a" * 64))
-    assert code == 1
+def test_names_are_short_enough_for_labels(dry: Dry, kind: str) -> None:
+    refused, text = dry(manifest(kind, "a" * 64))
+    assert refused
     assert "at most 63 characters" in text
-    assert _dry(crds, manifest(kind, "a" * 63))[0] == 0
+    assert dry(manifest(kind, "a" * 63)) == (False, "")
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.relative_to(ROOT).as_posix())
