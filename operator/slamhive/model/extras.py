@@ -6,7 +6,6 @@ from __future__ import annotations
 import importlib
 import re
 import sys
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,8 @@ def how_to_install(extra: str) -> str:
     own = _CHECKOUT / ".venv"
     if Path(sys.prefix).resolve() != own.resolve():
         return f"pip install -e '{_CHECKOUT}[{extra}]'"
+    from importlib import metadata  # noqa: PLC0415 - takes long, and is asked where an extra is missing
+
     mark = f"; extra == '{extra}'"
     stated = [line.removesuffix(mark) for line in metadata.requires("slamhive") or () if line.endswith(mark)]
     pinned = packages.read_text(encoding="utf-8")
