@@ -217,7 +217,7 @@ def bench_library(folder: Path, peer: Path | None) -> None:
         files = make_files(folder, LIBRARY_POSES, form)
         for what, work, share in (
             ("APE, SE(3)", "ape", 10),
-            ("APE, rotation angle", "angle", 40 if digits else 50),
+            ("APE, rotation angle", "angle", 50),
             ("RPE, 1 m, all pairs", "rpe", 10),
         ):
             found = run([sys.executable, "-c", OURS, work, *files], folder, REPETITIONS)

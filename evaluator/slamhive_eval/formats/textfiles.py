@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Text files of numbers: what is in them, plain or compressed, and on which line it is wrong.
 
-Text is read by numpy's C reader; only when that refuses, or a value turns out wrong, is it gone through line
-by line to name the line.
+Regular text is read by `slamhive_eval.formats.decimals`, other text by numpy's C reader; only when that
+refuses, or a value turns out wrong, is the text gone through line by line to name the line.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slamhive_eval.errors import FileError, NoPosesError
+from slamhive_eval.formats.decimals import parse_rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -132,8 +133,7 @@ def _numbers(data: bytes, *, commas: bool) -> FloatArray:
         np.empty(_KEPT_BYTES, np.uint8)
     while start < len(data):
         end = data.find(b"\n", start + _BLOCK) + 1 or len(data)
-        block = data[start:end]
-        found = parse_rows(block.replace(b",", b" ") if commas else block)
+        found = _block(data[start:end], commas=commas)
         start = end
         if len(found):
             parts.append(found)
@@ -144,19 +144,19 @@ def _numbers(data: bytes, *, commas: bool) -> FloatArray:
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-def parse_rows(text: bytes) -> FloatArray:
-    """Numbers of whole lines with white space between them; comments begin with ``#``.
-
-    Returns:
-        The numbers, shape (rows, columns), each the float64 that ``float()`` makes of it; (0, 1) without any.
-
-    Raises:
-        ValueError: Something is no number, or lines differ in length.
-    """
-    file = io.TextIOWrapper(io.BytesIO(text), encoding="utf-8", errors="replace")
+def _block(block: bytes, *, commas: bool) -> FloatArray:
+    if commas:
+        block = block.replace(b",", b" ")
+    begin = 0
+    while block.startswith(b"#", begin):
+        begin = block.find(b"\n", begin) + 1 or len(block)
+    found = parse_rows(block[begin:])
+    if found is not None:
+        return found
+    text = io.TextIOWrapper(io.BytesIO(block), encoding="utf-8", errors="replace")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a text without numbers
-        return np.loadtxt(file, dtype=np.float64, ndmin=2)
+        warnings.simplefilter("ignore")  # a block without numbers
+        return np.loadtxt(text, dtype=np.float64, ndmin=2)
 
 
 def fault_in_row(path: str | Path, data: bytes, row: int, message: str, skipped: int = 0) -> FileError:

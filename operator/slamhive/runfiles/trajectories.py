@@ -15,7 +15,7 @@ from slamhive.model.sensors import SensorMode
 from slamhive.runfiles.errors import FileMissingError
 from slamhive.runfiles.numberfiles import numbers_of, read_numbers, stacked
 from slamhive_eval import Trajectory, associate
-from slamhive_eval.formats.textfiles import parse_rows
+from slamhive_eval.formats.decimals import parse_rows
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -82,11 +82,8 @@ def read_poses(place: ArtifactFolder) -> Path:
 
 def _poses(lines: bytes) -> Matrix:
     """Return the rows of some lines, (k, 8); a rotation that is missing is none."""
-    try:
-        table = parse_rows(lines)
-    except ValueError:
-        table = np.empty((0, 0))
-    if table.shape[1] < 4:
+    table = parse_rows(lines)
+    if table is None or table.shape[1] < 4:
         rows = []
         for line in lines.splitlines():
             numbers = numbers_of(b" ".join(line.split(b"#")[0].replace(b",", b" ").split()[:8]))
