@@ -426,6 +426,8 @@ class _BlockWriter:
     def __exit__(self, *_: object) -> None:
         try:
             self._write()
+            for added in self._sums:
+                added.result()
         finally:
             self._summing.shutdown()
 

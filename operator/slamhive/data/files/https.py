@@ -49,9 +49,6 @@ class Validators:
     etag: str | None = None
     modified: str | None = None
 
-    def __bool__(self) -> bool:
-        return bool(self.etag or self.modified)
-
     @property
     def condition(self) -> str | None:
         """Return the mark for If-Range, by which a server goes on with no other file (RFC 9110, 13.1.5)."""

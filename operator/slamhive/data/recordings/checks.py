@@ -159,9 +159,9 @@ def _image(look: SensorLook) -> str:
 
 
 def _compressed(look: SensorLook) -> str:
-    sensor, message = look.sensor, look.first()
     import cv2  # noqa: PLC0415 - for those who look into recordings alone
 
+    sensor, message = look.sensor, look.first()
     pixels = cv2.imdecode(message.data, cv2.IMREAD_UNCHANGED) if message.data.size else None
     if pixels is None:
         # Other transports, such as compressedDepth, are the algorithm's own business at full resolution.
