@@ -6,6 +6,7 @@ The order is drawn at random: its seed is printed first, and ``--order-seed`` re
 
 from __future__ import annotations
 
+import fcntl
 import gc
 import os
 import shutil
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator
 
 TESTS = Path(__file__).parent
+PAPER = TESTS.parents[1] / "shared" / "data" / "icra2023"
 ACTOR = TESTS / "actor"
 NEEDS = {
     "control_plane": ("cluster",),
@@ -205,15 +207,67 @@ def lend_recording() -> Iterator[Callable[[Dataset, Path], None]]:
 
 
 @pytest.fixture(scope="session")
-def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def share(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], None]], Path]:
+    """A function that returns a folder of the session by its name; the first worker that asks fills it."""
+
+    def folder_of(name: str, fill: Callable[[Path], None]) -> Path:
+        folder = tmp_path_factory.getbasetemp() / "shared" / name
+        folder.parent.mkdir(exist_ok=True)
+        with folder.with_suffix(".lock").open("w", encoding="utf-8") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not folder.exists():
+                folder.mkdir()
+                try:
+                    fill(folder)
+                except BaseException:
+                    shutil.rmtree(folder)
+                    raise
+        return folder
+
+    return folder_of
+
+
+@pytest.fixture(scope="session")
+def tiny(share: Callable[..., Path]) -> Path:
     """A folder of datasets in which the small recording has been made."""
-    folder = tmp_path_factory.mktemp("datasets")
-    dataset = load_file(ACTOR / "tiny.yaml")[0]
-    assert isinstance(dataset, Dataset)
-    materialise(dataset, folder, folder)
-    (folder / "tiny").mkdir()
-    shutil.copyfile(ACTOR / "tiny.yaml", folder / "tiny" / "dataset.yaml")
-    return folder
+
+    def fill(folder: Path) -> None:
+        dataset = load_file(ACTOR / "tiny.yaml")[0]
+        assert isinstance(dataset, Dataset)
+        materialise(dataset, folder, folder)
+        (folder / "tiny").mkdir()
+        shutil.copyfile(ACTOR / "tiny.yaml", folder / "tiny" / "dataset.yaml")
+
+    return share("datasets", fill)
+
+
+@pytest.fixture(scope="session")
+def paper_home(share: Callable[..., Path]) -> Callable[..., Path]:
+    """A function that returns a home with the 81 runs of the original paper, aligned in each way it names.
+
+    Tests share it: they read it alone.
+    """
+    if not PAPER.is_dir():
+        pytest.skip("the runs of the original paper are not there (../shared/data/icra2023)")
+    from typer.testing import CliRunner
+
+    from slamhive.cli import importing
+
+    def home_of(*alignments: str) -> Path:
+        def fill(home: Path) -> None:
+            for alignment in alignments:
+                truth = ("--ground-truth", str(PAPER / "groundtruth"), "--alignment", alignment)
+                outcome = CliRunner().invoke(
+                    importing.app,
+                    ["slam-hive", str(PAPER / "runs"), *truth],
+                    env={"SLAMHIVE_HOME": str(home), "SLAMHIVE_ARCHIVE": ""},
+                )
+                assert outcome.exit_code == 0, outcome.output
+                assert "81 runs evaluated" in outcome.output
+
+        return share(f"paper-{'-'.join(alignments)}", fill)
+
+    return home_of
 
 
 @pytest.fixture(scope="session")

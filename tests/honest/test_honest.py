@@ -20,11 +20,10 @@ from reckoning import Question
 from views import Views, chosen
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from archives import Tables
 
-PAPER = Path(__file__).parents[3] / "shared" / "data" / "icra2023"
 ARCHIVES = 10
 TABLES = ["results table json"]
 
@@ -106,13 +105,8 @@ def _rows_of(tables: Tables) -> list[reckoning.Row]:
 
 
 @pytest.fixture(scope="module")
-def published(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Views]:
-    if not PAPER.is_dir():
-        pytest.skip("the runs of the original paper are not there (../shared/data/icra2023)")
-    with Views(tmp_path_factory.mktemp("published")) as found:
-        for alignment in ("sim3", "se3"):
-            truth = ("--ground-truth", str(PAPER / "groundtruth"), "--alignment", alignment)
-            found.command("import", "slam-hive", str(PAPER / "runs"), *truth)
+def published(paper_home: Callable[..., Path]) -> Iterator[Views]:
+    with Views(paper_home("sim3", "se3")) as found:
         yield found
 
 

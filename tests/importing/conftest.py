@@ -50,15 +50,9 @@ def show(tmp_path: Path) -> Callable[..., Any]:
 
 
 @pytest.fixture(scope="session")
-def published(icra: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]:
-    """``slamhive results`` on all 81 runs with both alignments, imported once."""
-    home = tmp_path_factory.mktemp("published")
-    for alignment in ("sim3", "se3"):
-        outcome = command(importing.app, home)(
-            "slam-hive", icra / "runs", "--ground-truth", icra / "groundtruth", "--alignment", alignment
-        )
-        assert outcome.exit_code == 0, outcome.output
-        assert "81 runs evaluated" in outcome.output
+def published(paper_home: Callable[..., Path]) -> Callable[..., str]:
+    """``slamhive results`` on all 81 runs with both alignments."""
+    home = paper_home("sim3", "se3")
 
     def call(*words: str) -> str:
         outcome = command(results.app, home)(*words)

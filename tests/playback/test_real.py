@@ -88,5 +88,5 @@ def test_orb_slam(ros: None, home: Home, notes: object) -> None:
     assert played.results[0].values["ate"]["rmse"] < 0.5
     assert len(trajectory(played)) > 20
     assert len(trajectory(played, "trajectory.online.txt")) > 20
-    # Of the last map: where frames were dropped, tracking may have been lost and begun anew just before the end.
+    # Where frames were dropped, tracking may have been lost and begun anew just before the end.
     assert played.metrics["keyframes"] >= 1

@@ -9,10 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from typer.testing import CliRunner
 
 from slamhive.archive import Archive
-from slamhive.cli import importing
 from slamhive.cli.main import main
 from slamhive.model.results import Outcome, Phase, Reason, Result, RunRecord
 
@@ -21,7 +19,6 @@ if TYPE_CHECKING:
     from types import ModuleType
 
 TESTS = Path(__file__).parents[1]
-ICRA = TESTS.parents[1] / "shared" / "data" / "icra2023"
 HTML = "</td><script>alert(1)</script> & \"'"
 LONG = "ü" * 10_000
 
@@ -118,16 +115,9 @@ def assorted(fill: Callable[[Iterable[RunRecord]], Path]) -> Path:
 
 
 @pytest.fixture(scope="session")
-def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def published(paper_home: Callable[..., Path]) -> Path:
     """A home with the 81 runs of the original paper."""
-    if not ICRA.is_dir():
-        pytest.skip("the runs of the original paper are not there (../shared/data/icra2023)")
-    home = tmp_path_factory.mktemp("published")
-    words = ["slam-hive", ICRA / "runs", "--ground-truth", ICRA / "groundtruth", "--alignment", "sim3"]
-    environment = {"SLAMHIVE_HOME": str(home), "SLAMHIVE_ARCHIVE": ""}
-    outcome = CliRunner().invoke(importing.app, list(map(str, words)), env=environment)
-    assert outcome.exit_code == 0, outcome.output
-    return home
+    return paper_home("sim3")
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from typer.testing import CliRunner
 
-from slamhive.cli import importing, results
+from slamhive.cli import results
 from slamhive.dashboard.sources.archived import Workstation
 
 if TYPE_CHECKING:
@@ -21,15 +21,8 @@ DESK = "rgbd-dataset-freiburg2-desk"
 
 
 @pytest.fixture(scope="session")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    if not ICRA.is_dir():
-        pytest.skip("the runs of the original paper are not there (../shared/data/icra2023)")
-    folder = tmp_path_factory.mktemp("published")
-    words = ["slam-hive", ICRA / "runs", "--ground-truth", ICRA / "groundtruth", "--alignment", "sim3"]
-    environment = {"SLAMHIVE_HOME": str(folder), "SLAMHIVE_ARCHIVE": ""}
-    outcome = CliRunner().invoke(importing.app, list(map(str, words)), env=environment)
-    assert outcome.exit_code == 0, outcome.output
-    return folder
+def home(paper_home: Callable[..., Path]) -> Path:
+    return paper_home("sim3")
 
 
 @pytest.fixture
