@@ -22,7 +22,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 help:
 	@echo 'make demo    compare real algorithms on a generated recording'
-	@echo 'make test    run the tests that need neither root nor a cluster nor minutes'
+	@echo 'make test    run the quick tests, which need neither root nor a cluster'
 	@echo 'make test-cluster   run the rest: on a real Kubernetes, with images, with ROS nodes (Debian, root, Go), the slow ones'
 	@echo 'make test-all   both, in one session'
 	@echo 'make lint    style, types, layers, words'

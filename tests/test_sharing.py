@@ -48,6 +48,7 @@ def run(folder: Path, *words: str) -> str:
     return ended.stdout
 
 
+@pytest.mark.slow
 def test_every_test_is_run_once_and_what_fails_is_told(tmp_path: Path) -> None:
     told = run(tmp_path)
     assert "2 failed, 22 passed" in told

@@ -98,6 +98,7 @@ def test_few_settings_with_few_repetitions_are_tested_together() -> None:
     assert "more than chance" in change.sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("settings", "repetitions"), [(1, 5), (3, 3), (5, 6), (8, 1), (8, 4)])
 def test_without_an_effect_p_is_small_as_seldom_as_it_says(
     settings: int, repetitions: int, monkeypatch: pytest.MonkeyPatch

@@ -348,6 +348,7 @@ def test_folders_come_from_object_storage_as_from_the_volume(
     }
 
 
+@pytest.mark.slow
 def test_a_changed_object_is_a_problem_of_its_run_alone(
     tmp_path: Path, volume: Volume, fetch: Callable[..., Filed], moved: Callable[..., WantedRun], place: Place
 ) -> None:

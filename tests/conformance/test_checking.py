@@ -56,6 +56,7 @@ def test_an_algorithm_that_keeps_the_contract_passes_and_leaves_nothing(
     assert {path.name for path in home.path.iterdir()} - before == {"variants", "truths", "assets"}
 
 
+@pytest.mark.slow
 def test_each_row_fails_for_what_breaks_it_with_words_that_help(
     check: Callable[..., dict[str, Finding]],
 ) -> None:
@@ -85,6 +86,7 @@ def test_what_waits_for_a_topic_that_is_not_there_fails(
     assert found.help.startswith("don't wait for ever")
 
 
+@pytest.mark.slow
 def test_poses_of_another_frame_are_told_with_what_to_declare(
     check: Callable[..., dict[str, Finding]],
 ) -> None:

@@ -70,6 +70,7 @@ def test_a_workstation_makes_of_it_what_the_table_says(name: str, behaved: dict[
     assert differences(behaved[name], table.expected("process")[name]) == []
 
 
+@pytest.mark.slow
 def test_what_it_left_is_in_nobodys_way(process: Process, behaved: dict[str, Row]) -> None:
     """Whatever stands in its run folder: the same comes of the same run a second time."""
     made, _, _ = table.study(process)

@@ -78,6 +78,7 @@ def test_damaged_logs(tmp_path: Path, text: str, words: str) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_the_whole_intel_log(shared: Path, tmp_path: Path) -> None:
     source = shared / "lidar2d"
     options = ImportOptions(relations=source / "intel.relations")

@@ -208,9 +208,13 @@ AFTER = {"algorithms.md": the_example_is_right, "settings-files.md": the_setting
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     "document",
-    # Those that come before another one are run with it.
-    [one for one in filter(commands, DOCUMENTS) if one.relative_to(ROOT).as_posix() not in BEFORE.values()],
-    ids=lambda path: path.name,
+    [
+        # Those that users begin with run whole sweeps.
+        pytest.param(one, id=one.name, marks=[pytest.mark.slow] if one.parent == ROOT / "docs" else [])
+        for one in filter(commands, DOCUMENTS)
+        # Those that come before another one are run with it.
+        if one.relative_to(ROOT).as_posix() not in BEFORE.values()
+    ],
 )
 def test_commands_do_what_the_document_says(
     document: Path, desk: Path, slamhive: Callable[..., int], capsys: pytest.CaptureFixture[str]

@@ -13,6 +13,8 @@ import pytest
 from injecting import Fault
 from scene import Scene
 
+from thinning import thinned
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -50,11 +52,7 @@ def scene(injector: Injector, tmp_path_factory: pytest.TempPathFactory) -> Itera
 
 
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize(
-    "fault",
-    [pytest.param(one, marks=[] if k % 3 == 0 else [pytest.mark.slow]) for k, one in enumerate(FAULTS)],
-    ids=str,
-)
+@pytest.mark.parametrize("fault", thinned(FAULTS), ids=str)
 def test_a_fault_at_any_write_loses_nothing(scene: Scene, fault: Fault) -> None:
     outcome = scene.inject(fault)
     assert outcome.made, "nothing failed: is the file called otherwise now?"

@@ -21,6 +21,7 @@ from slamhive.local.housekeeping import forgetting
 from slamhive.local.running.evaluations import measure_record
 from slamhive.local.running.workbench import Workbench
 from slamhive.model.evaluation import EvaluationSettings
+from thinning import thinned
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -196,7 +197,8 @@ class Killed(BaseException):
 
 
 @pytest.mark.parametrize(
-    ("steps", "records"), [*((step, False) for step in (1, 4, 8)), *((step, True) for step in range(13))]
+    ("steps", "records"),
+    [*((step, False) for step in (1, 4, 8)), *thinned((step, True) for step in range(13))],
 )
 def test_wherever_it_is_killed_the_home_reads_right_and_a_second_call_goes_on(
     lab: Any, slamhive: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, steps: int, records: bool

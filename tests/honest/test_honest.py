@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING
 
@@ -19,8 +18,11 @@ from hypothesis import HealthCheck, given, settings
 from reckoning import Question
 from views import Views, chosen
 
+from thinning import thinned
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
 
     from archives import Tables
 
@@ -41,7 +43,7 @@ def test_all_views_show_what_the_definition_says(views: Views, seed: int) -> Non
     assert not list(check(views, archives.made_up(Random(seed)), Random(seed), names))
 
 
-@pytest.mark.parametrize("one", BREAKS, ids=lambda one: one.what)
+@pytest.mark.parametrize("one", thinned(BREAKS), ids=lambda one: one.what)
 def test_a_broken_line_is_noticed(views: Views, one: Break) -> None:
     with broken(one):
         found = (check(views, archives.made_up(Random(seed)), Random(seed), TABLES) for seed in range(40))
@@ -50,6 +52,7 @@ def test_a_broken_line_is_noticed(views: Views, one: Break) -> None:
     assert not list(check(views, archives.made_up(Random(0)), Random(0), TABLES))
 
 
+@pytest.mark.slow
 @given(tables=archives.archives())
 @settings(
     max_examples=8,
@@ -116,11 +119,22 @@ LOADS = ("ate.rmse", "rpe[0].rmse", "usage.cpu.meanCores", "usage.memory.peakByt
 @pytest.mark.parametrize(
     "question",
     [
-        Question(),
-        Question(outcomes="all", metrics=LOADS, evaluation="sim3", by=("sensors", "algorithm", "dataset")),
-        Question(metrics=LOADS, superseded=True, condition=("dataset", "==", "rgbd-dataset-freiburg2-desk")),
+        pytest.param(Question(), id="all"),
+        pytest.param(
+            Question(
+                outcomes="all", metrics=LOADS, evaluation="sim3", by=("sensors", "algorithm", "dataset")
+            ),
+            id="table III",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            Question(
+                metrics=LOADS, superseded=True, condition=("dataset", "==", "rgbd-dataset-freiburg2-desk")
+            ),
+            id="table IV",
+            marks=pytest.mark.slow,
+        ),
     ],
-    ids=["all", "table III", "table IV"],
 )
 def test_the_runs_of_the_paper(published: Views, question: Question) -> None:
     rows = reckoned(published.home)

@@ -268,7 +268,7 @@ def operations(monkeypatch: pytest.MonkeyPatch, before: Callable[[], None]) -> N
     monkeypatch.setattr(Path, "replace", preceded(Path.replace))
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.slow
 def test_killed_at_each_write_the_next_one_has_all_of_it(
     lab: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -130,6 +130,7 @@ def test_what_it_makes_is_read_only_and_nobody_else_s(pod: Any, filed: Any) -> N
     assert stat.S_IMODE(folder.stat().st_mode) == 0o750
 
 
+@pytest.mark.slow
 def test_two_at_once_make_it_once(pod: Any, synthetic: Any) -> None:
     pod.ask(synthetic)
     logs = ["first", "second", "third"]

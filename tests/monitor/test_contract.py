@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from thinning import thinned
+
 sys.path.insert(0, str(Path(__file__).parents[1] / "contract"))
 
 from executors import algorithm, table
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
     from slamhive.kube.reports import Report
 
 
-@pytest.mark.parametrize("name", table.LEAVING | table.WRITING)
+@pytest.mark.parametrize("name", thinned(table.LEAVING | table.WRITING))
 @pytest.mark.parametrize("pod", ["proc"], indirect=True)
 def test_what_an_algorithm_left_is_judged_the_same_here_and_there(
     name: str, pod: Pod, tmp_path: Path

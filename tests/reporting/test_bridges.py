@@ -116,6 +116,7 @@ def test_tensorboard_reads_what_is_written(place: Path, run_command: Any) -> Non
     assert f"- {place / 'home'}/runs/study/study-0/output/trajectory.txt" in files
 
 
+@pytest.mark.slow  # importing MLflow takes several seconds
 def test_mlflow_reads_what_is_written(place: Path, run_command: Any) -> None:
     needs("alembic", "mlflow-skinny alembic")
     from mlflow import MlflowClient
@@ -198,7 +199,7 @@ def test_wandb_reads_what_is_written(place: Path, run_command: Any) -> None:
     ("to", "module", "extra"),
     [
         ("tensorboard", "tensorboardX", "tensorboardX"),
-        ("mlflow", "alembic", "mlflow-skinny alembic"),
+        pytest.param("mlflow", "alembic", "mlflow-skinny alembic", marks=pytest.mark.slow),
         ("wandb", "wandb", "wandb"),
     ],
 )

@@ -25,6 +25,7 @@ from slamhive.model.extras import how_to_install
 from slamhive.model.results import Outcome
 from slamhive.reporting.papertables import Statistic
 from slamhive.tables.reading import archive_url, read_archive
+from thinning import thinned
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -75,7 +76,7 @@ def forty(records: Any, fill: Fill) -> Path:
     )
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", thinned(KINDS))
 def test_every_kind_of_the_published_runs(
     kind: str, published: Path, slamhive: Slamhive, tmp_path: Path
 ) -> None:

@@ -92,6 +92,7 @@ def slamhive(home: Path, families: Path, tmp_path: Path) -> Command:
     return run
 
 
+@pytest.mark.slow
 def test_a_bag_of_the_catalogue_is_measured_as_its_original(
     slamhive: Command, families: Path, site: Site, tmp_path: Path
 ) -> None:

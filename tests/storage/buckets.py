@@ -20,8 +20,6 @@ from slamhive.storage.store import ObjectStorage, StoreSettings
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-KINDS = ("file", "s3")
-
 
 class S3:
     """An S3 server on this machine; it may be ended and started again with what it held."""
@@ -121,7 +119,7 @@ def s3() -> Iterator[S3]:
     found.stop()
 
 
-@pytest.fixture(params=KINDS)
+@pytest.fixture(params=["file", pytest.param("s3", marks=pytest.mark.slow)])
 def place(request: pytest.FixtureRequest, tmp_path: Path) -> Place:
     server = request.getfixturevalue("s3") if request.param == "s3" else None
     return make_place(request.param, tmp_path / "bucket", server)

@@ -145,6 +145,7 @@ def test_images_are_rich_in_corners(studio: Any) -> None:
     assert len(cells) == 8 * 6
 
 
+@pytest.mark.slow
 def test_an_open_shutter_blurs_motion_and_only_motion(studio: Any) -> None:
     sharp, blurred = (
         studio.camera("left", width=480, height=360),

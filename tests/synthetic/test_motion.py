@@ -68,6 +68,7 @@ def test_quaternions_turn_as_their_rotations_do() -> None:
     np.testing.assert_allclose(rotation[:, 2, 1], 2 * (y * z + x * w), atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", [{}, {"rig": "Euroc"}, {"vibration": {}}], ids=str)
 def test_integrating_the_imu_gives_the_ground_truth(given: dict[str, object]) -> None:
     rate = 2000.0

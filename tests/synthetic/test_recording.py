@@ -128,6 +128,7 @@ def digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_and_another_one_others(
     made: SyntheticOutput, everything: SyntheticRecording, tmp_path: Path
 ) -> None:

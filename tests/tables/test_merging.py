@@ -182,7 +182,7 @@ STEPS = [
 
 @pytest.mark.parametrize(("owner", "name"), STEPS, ids=[name for _, name in STEPS])
 @pytest.mark.parametrize("after", [False, True], ids=["before", "after"])
-@pytest.mark.parametrize("number", [1, 2])
+@pytest.mark.parametrize("number", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_merge_that_was_killed_goes_on(
     homes: tuple[Any, Any],
     run_command: Callable[..., Any],

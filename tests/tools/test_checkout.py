@@ -204,6 +204,7 @@ def test_two_at_once_make_one(place: Path) -> None:
     assert works(folder, "shown")
 
 
+@pytest.mark.slow
 def test_pip_does_what_uv_can_not(place: Path, uv_is: Callable, capsys: pytest.CaptureFixture[str]) -> None:
     uv_is('case "$*" in --version) echo uv 9.0;; *) echo "error: not that"; exit 2;; esac')
     # Where there is no uv, none is installed.

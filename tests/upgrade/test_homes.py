@@ -77,6 +77,7 @@ def old(request: pytest.FixtureRequest, tmp_path: Path, environments: Path, tiny
     return home
 
 
+@pytest.mark.slow
 def test_a_sweep_that_was_cut_off_goes_on(
     old: Path,
     call: Callable[..., tuple[int, str, str]],

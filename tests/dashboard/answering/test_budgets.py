@@ -106,6 +106,7 @@ async def test_a_whole_table_is_what_its_pages_are(hostile_api: Any) -> None:
     assert rows[1][4] == str(pages[0]["usage.includesReader"]).lower()
 
 
+@pytest.mark.slow
 async def test_a_whole_table_as_parquet_has_one_kind_a_column(hostile_api: Any) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     answer = await hostile_api.raw.get(

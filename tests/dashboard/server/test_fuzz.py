@@ -24,6 +24,7 @@ def asking() -> Any:
     return importlib.import_module("api")
 
 
+@pytest.mark.slow
 def test_no_question_is_a_fault(assorted_file: Path, asking: Any) -> None:
     app = create_app(Workstation(f"sqlite:///{assorted_file}"))
     with TestClient(app, base_url="http://127.0.0.1", raise_server_exceptions=False) as client:

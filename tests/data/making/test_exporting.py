@@ -37,7 +37,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.mark.parametrize("form", [EUROC, TUM, KITTI])
+@pytest.mark.parametrize("form", [EUROC, TUM, pytest.param(KITTI, marks=pytest.mark.slow)])
 def test_an_export_is_what_a_run_gets(camera_entries: Any, tmp_path: Path, form: DataFormat) -> None:
     entry, options = camera_entries[1.0], InputOptions(resolution=0.5, frame_rate=1)
     roles = all_roles(entry, form)
@@ -133,6 +133,7 @@ def test_what_fails_leaves_nothing(camera_entries: Any, tmp_path: Path, monkeypa
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", [EUROC, DataFormat.MCAP])
 def test_an_interrupted_export_leaves_nothing(camera_entries: Any, tmp_path: Path, form: DataFormat) -> None:
     seen = []

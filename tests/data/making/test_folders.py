@@ -161,6 +161,7 @@ def test_depth_at_half_size_is_rendered_depth(camera_entries: Any, tmp_path: Pat
         assert np.median(np.abs(a - b) / np.maximum(b, 1)) < 0.01
 
 
+@pytest.mark.slow
 def test_what_is_written_for_euroc_is_imported_as_it_was(tmp_path: Path, shared: Path) -> None:
     source = shared / "euroc_v1_01_start"
     dataset, _ = import_recording(source, tmp_path / "first", "v101", "Euroc")

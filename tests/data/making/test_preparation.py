@@ -98,6 +98,7 @@ def test_calibration_is_that_of_rendering_at_that_size(halved: Any) -> None:
                 assert getattr(mine, name) == pytest.approx(getattr(direct, name), rel=1e-9, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_frames_of_all_cameras_are_thinned_together(camera_entries: Any, tmp_path: Path) -> None:
     entry = camera_entries[1.0]
     for roles, apart in ((STEREO, 0), (RGBD, 20_000_000)):

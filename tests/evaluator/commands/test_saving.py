@@ -130,6 +130,7 @@ def test_evo_res_opens_the_archives(
     assert [float(row["rmse"]) for row in rows] == pytest.approx([one["rmse"] for one in found])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["tum", "kitti", "euroc"])
 def test_evo_traj_reads_what_traj_converts(
     tmp_path: Path, files: list[str], wander: Callable[..., Trajectory], evo: Callable[..., str], kind: str

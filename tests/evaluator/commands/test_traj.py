@@ -178,7 +178,9 @@ def test_several_into_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["in.kitti", "second.kitti"]
 
 
-@pytest.mark.parametrize("words", [[], ["--reference", "{folder}/in.tum", "--align", "se3"]])
+@pytest.mark.parametrize(
+    "words", [[], pytest.param(["--reference", "{folder}/in.tum", "--align", "se3"], marks=pytest.mark.slow)]
+)
 def test_a_plot(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], truth: Trajectory, words: list[str]
 ) -> None:

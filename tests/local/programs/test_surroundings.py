@@ -236,7 +236,7 @@ def test_setup_programs_of_packages_are_not_run(run_acts: Callable, told_by_setu
 
 
 @pytest.mark.usefixtures("_copied_environments")
-@pytest.mark.parametrize("tool", ["uv", "pip"])
+@pytest.mark.parametrize("tool", ["uv", pytest.param("pip", marks=pytest.mark.slow)])
 def test_setup_programs_that_are_allowed_see_no_secret(
     run_acts: Callable,
     tool: str,

@@ -269,6 +269,7 @@ def test_figures_come_from_a_process_that_the_measured_program_cannot_touch(
     assert figures_are_true(record)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", SEEN)
 def test_a_try_that_can_be_made_is_said_of_the_figures(what: str, records: dict[str, RunRecord]) -> None:
     record, told = records[what], SEEN[what][1]

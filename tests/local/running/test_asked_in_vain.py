@@ -66,6 +66,7 @@ RATES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("brisk")
 @pytest.mark.parametrize("how", [{}, {"cachePolicy": "Rerun"}])
 def test_rates_over_two_recordings_are_told_as_they_took_effect(run: Callable[..., Any], how: Any) -> None:

@@ -187,6 +187,7 @@ def test_an_exported_lidar_recording_comes_back(
     _require_same_poses(lidar_entry, found, np.array(before.T_body_sensor))
 
 
+@pytest.mark.slow
 def test_an_exported_stereo_recording_comes_back(
     camera_entries: Any, tmp_path: Path, take_in: Callable[..., Any]
 ) -> None:
