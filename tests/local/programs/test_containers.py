@@ -203,7 +203,7 @@ buildah rm $container
 
 
 def test_scratch_is_empty_and_writable_whatever_the_image_has_there(boxes: Boxes, closed: str) -> None:
-    """As in a pod, where it is a volume."""
+    """A pod has a volume of its own there."""
     (record,) = boxes(shell(f"ls -A /tmp; echo x > /tmp/x && cat /tmp/x; {POSES}", image=closed))
     assert record.phase is Phase.SUCCEEDED, record.message
     assert (Path(record.folder or "") / "log.txt").read_text().split() == ["x"]
