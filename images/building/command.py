@@ -53,7 +53,7 @@ def _parser(known: dict[str, Recipe]) -> argparse.ArgumentParser:
         description="Build the images with docker or buildah, whichever works; unchanged ones are kept. "
         f"The list of each image's packages (CycloneDX) is written to {PLACE.relative_to(ROOT)}/.",
     )
-    names = f"images to build: {', '.join(known)}; default: all but those of the tests"
+    names = f"images to build, by name or tag: {', '.join(known)}; default: all but those of the tests"
     load_help = "load them into the test cluster, or else into kind's"
     base = (
         f"base of all instead of each Dockerfile's own; where that can't be had: {STAND_IN}, by debootstrap"
@@ -70,10 +70,11 @@ def _parser(known: dict[str, Recipe]) -> argparse.ArgumentParser:
 
 
 def _chosen(names: list[str], known: dict[str, Recipe]) -> list[Recipe]:
-    unknown = [name for name in names if name not in known]
+    by_name = {recipe.tag: recipe for recipe in known.values()} | known
+    unknown = [name for name in names if name not in by_name]
     if unknown:
         raise BuildError(f"no image {unknown[0]!r}, only {', '.join(known)}")
-    return [known[name] for name in names] or [recipe for recipe in known.values() if not recipe.extra]
+    return [by_name[name] for name in names] or [recipe for recipe in known.values() if not recipe.extra]
 
 
 def _build_all(chosen: list[Recipe], options: argparse.Namespace) -> int:

@@ -92,6 +92,15 @@ def test_a_disturbed_run_says_nothing_of_load_but_all_else_counts() -> None:
     assert "2 runs shared cores" in found.notes[-1]
 
 
+@pytest.mark.parametrize(("metric", "said"), [("usage.memory.peakBytes", True), ("ate.rmse", False)])
+def test_of_programs_that_fell_behind_memory_is_told_to_hold_what_waited(metric: str, said: bool) -> None:
+    late = "metrics.latencySeconds.max"
+    rows = [row(1.0, **{late: seconds, "usage.memory.peakBytes": 9.0}) for seconds in (0.2, 12.0, 31.4)]
+    notes = aggregate(frame_of(rows), [metric]).notes
+    told = "2 runs fell up to 31 s behind in real time: their memory holds what waited"
+    assert (told in notes) is said
+
+
 def test_all_evaluated_runs_on_request() -> None:
     rows = [row(1.0), row(3.0, "Partial"), row(None, None)]
     (cell,) = aggregate(frame_of(rows), ["ate.rmse"], outcomes=Outcomes.ALL).cells

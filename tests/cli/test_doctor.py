@@ -22,11 +22,12 @@ from slamhive.cli import doctor as cli
 from slamhive.cli import main
 from slamhive.kube.api.kinds import OUR_KINDS
 from slamhive.kube.user import readiness as cluster
-from slamhive.local.home.catalog import Workshop
+from slamhive.local.home.catalog import Workshop, load_workshop
 from slamhive.local.home.folder import Home
 from slamhive.local.programs import readiness
 from slamhive.model.extras import how_to_install
 from slamhive.model.readiness import ReadinessRow, State, missing, there
+from slamhive.playback.ros import PACKAGES, find_ros
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
@@ -184,6 +185,21 @@ def test_without_ros_it_is_missing_only_where_an_algorithm_takes_it(monkeypatch:
     monkeypatch.setattr(readiness, "find_ros", lambda: None)
     first = next(iter(readiness.ros(Workshop())))
     assert (first.check, first.state) == ("ROS 1", State.UNNEEDED)
+
+
+def test_of_half_a_ros_the_missing_packages_are_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    program = tmp_path / "dpkg-query"
+    there = "".join(f"{name} installed\\n" for name in PACKAGES if name not in {"rosout", "python3-rosbag"})
+    program.write_text(f"#!/bin/sh\nprintf '{there}rosout config-files\\n'\nexit 1\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    find_ros.cache_clear()
+    first = next(iter(readiness.ros(load_workshop(Home.at(tmp_path / "home")))))
+    find_ros.cache_clear()
+    assert first.found == "not whole, without python3-rosbag, rosout"
+    assert first.helps.endswith("(on Debian 12: apt-get install python3-rosbag rosout)")
 
 
 @pytest.mark.parametrize("kept", [True, False, None])

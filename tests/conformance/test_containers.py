@@ -11,7 +11,7 @@ from slamhive.conformance.checking import CheckRequest, check_algorithm
 from slamhive.conformance.workstation import OnWorkstation, bench_for_checks
 from slamhive.local.programs.containers import Containers
 from slamhive.local.programs.containerwords import HOME_LABEL
-from slamhive.local.programs.unavailable import ImageMissing, Unavailable
+from slamhive.local.programs.unavailable import Unavailable
 
 from .conftest import HERE, NAME, Notes, behaving
 
@@ -61,7 +61,7 @@ def test_an_image_that_is_not_here_is_said(
     assert podman.is_podman
     behaving(home, set(), image="localhost/no-such-image:1")
     with bench_for_checks(home, workshop_of(home)) as bench:
-        with pytest.raises(ImageMissing, match="'localhost/no-such-image:1' is not there"):
+        with pytest.raises(Unavailable, match="needs the image localhost/no-such-image:1, which"):
             OnWorkstation.contained(bench, NAME, "tiny", pull=False)
         behaving(home, set())
     with (

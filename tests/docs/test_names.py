@@ -22,6 +22,7 @@ PLACEHOLDER = re.compile(r"(?:^|/)[A-Z][A-Z0-9-]*(?:\.(?!md\b)|/|$)|versionN")
 NAMED = re.compile(r"((?:`[\w.]+`(?:, | and )?)+) (?:in |of |\()`([\w.-]+/[\w./-]+\.\w+)`")
 MODULE = re.compile(r"\bslamhive(?:_eval)?\.(?!io\b)\w+(?:\.\w+)*")
 TEST = re.compile(r"`(?:[\w/]+\.py::)?(test_\w+)`")
+PROMISED = re.compile(r"`([\w/]+\.py)::(test_\w+)`")
 DIFF = re.compile(r"^--- a/(\S+)$", re.MULTILINE)
 HUNK = re.compile(r"^@@ -\d+,(\d+) \+\d+,(\d+) @@\n", re.MULTILINE)
 MADE = {
@@ -136,6 +137,23 @@ def all_tests() -> frozenset[str]:
 @pytest.mark.parametrize("document", ALL, ids=name_of)
 def test_tests_that_are_named_are_there(document: Path) -> None:
     assert set(TEST.findall(document.read_text())) - all_tests() == set()
+
+
+def test_every_promise_of_security_names_its_tests() -> None:
+    text = (ROOT / "SECURITY.md").read_text()
+    bounded, promises = (
+        [row.split(" | ") for row in re.findall(r"^\| (?!of \|)(.+) \|$", part, re.MULTILINE)]
+        for part in (text.partition("\n## The promises")[0], text.partition("\n## The promises")[2])
+    )
+    for of, promise, tests in promises:
+        named = PROMISED.findall(tests)
+        assert named, f"{of}: {promise}: no test"
+        assert PROMISED.sub("", tests).strip(" ,") == ""
+        for path, name in named:
+            found = re.search(rf"^(?:async )?def {name}\(", (ROOT / path).read_text(), re.MULTILINE)
+            assert found, f"{path}::{name} is not there"
+    held = {row[0] for row in bounded if len(row) == 3}
+    assert held - {row[0] for row in promises} == set()
 
 
 @pytest.mark.parametrize("document", MAINTAINERS, ids=name_of)

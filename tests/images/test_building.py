@@ -121,13 +121,13 @@ def test_one_that_fails_stops_no_other(
     assert "step 3 failed" in told
 
 
-def test_the_tests_own_images_are_built_by_name_alone(
+def test_the_tests_own_images_are_built_by_name_or_tag_alone(
     fake: FakeTool, recipe: Recipe, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     extra = Recipe("extra", "slamhive/extra:1", recipe.dockerfile, recipe.context, "E.", "MIT", extra=True)
     monkeypatch.setattr(command, "recipes", lambda: {"thing": recipe, "extra": extra})
     command.main([])
-    command.main(["extra"])
+    command.main(["slamhive/extra:1"])
     assert [name for name, _ in fake.built] == ["thing", "extra"]
 
 

@@ -31,6 +31,7 @@ from slamhive.monitor.measuring import accounting, proc, processes
 from slamhive.monitor.measuring.hierarchy import Hierarchy, own_hierarchies, unified_parents
 from slamhive.monitor.outcome import ProgramEnding, judge
 from slamhive.monitor.programs import output
+from slamhive.monitor.programs.contained import explain
 from slamhive.monitor.programs.log import BoundedLog, clean_tail
 from slamhive.monitor.programs.output import OutputMeter
 
@@ -384,3 +385,32 @@ def test_who_hides_what_it_holds_is_judged_by_the_volume(
 def test_an_output_that_goes_while_it_is_measured_is_none(tmp_path: Path) -> None:
     assert OutputMeter(str(tmp_path / "gone"), 1, 1).problem(1.0, []) is None
     assert OutputMeter(None, 1, 1).problem(1.0, []) is None
+
+
+NO_FILE = "No such file or directory"
+RUNC = "runc: runc create failed: unable to start container process:"
+
+
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [
+        ("ERROR (catatonit:2): failed to exec pid1: No such file or directory", NO_FILE),
+        ("[FATAL tini (7)] exec /no failed: Permission denied", "Permission denied"),
+        (f'{RUNC} exec: "bash": executable file not found in $PATH: OCI', NO_FILE),
+        (f'OCI {RUNC} exec: "/no": stat /no: no such file or directory: unknown', NO_FILE),
+        (f"{RUNC} exec /secret: permission denied: OCI permission denied", "Permission denied"),
+        ("exec /script: no such file or directory", NO_FILE),
+        ("crun: executable file `bash` not found in $PATH: No such file or directory: OCI runtime", NO_FILE),
+        ("crun: open executable: Permission denied: OCI permission denied", "Permission denied"),
+        ('{"msg":"exec container process `/script`: No such file or directory","level":"error"}', NO_FILE),
+        # These are the machine's, or of a program that ran.
+        ('runc: runc create failed: error mounting "/x" to rootfs: stat /x: no such file or directory', None),
+        ("crun: cannot stat `/x`: No such file or directory: OCI runtime attempted to invoke", None),
+        ('exec: "gnuplot": executable file not found in $PATH', None),
+    ],
+)
+def test_a_program_that_never_began_in_its_container_is_told_from_all_else(
+    said: str, why: str | None
+) -> None:
+    found = explain("run", said)
+    assert found is None if why is None else (found or "").startswith(f"cannot start run: {why}; ")

@@ -24,6 +24,7 @@ MANY = "matrix: [{path: seed, range: {from: 1, to: 400, step: 1}}, {path: retrie
     [
         ("template: {spec: {algoritmRef: {name: a}}}", "spec.template.spec.algoritmRef: unknown field"),
         ("template: {spec: {algorithm: a}}", "did you mean 'algorithmRef'?"),
+        ("template: {spec: {mode: stereo}}", "did you mean 'sensors'?"),
         ("template: {spec: {input: {framerate: 3}}}", "did you mean 'input.frameRate'?"),
         (
             "template: {spec: {input: {pace: Lockstepp}}}",

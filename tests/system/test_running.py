@@ -82,6 +82,9 @@ def test_what_has_to_be_alone_is_refused_beside_a_runner(system: Any, until: Any
     assert "is at work in" in err
     first.send_signal(signal.SIGINT)
     assert first.wait(120) == 130
+    said = system.printed(first)[0]
+    assert "1 not run" in said
+    assert "results table" not in said  # which would end with: unknown sweep
 
 
 def test_failures_are_told_and_give_exit_code_1(system: Any) -> None:

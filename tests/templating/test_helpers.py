@@ -215,6 +215,7 @@ def test_baselines_noise_and_shifts(text: Text) -> None:
         ("{{ fail('this rig has no IMU') }}", "this rig has no IMU"),
         ("{{ fail('a\\x1b[2J\\ud800\\nb') }}", "a\N{REPLACEMENT CHARACTER}[2J\N{REPLACEMENT CHARACTER} b"),
         ("{{ 1 / 0 }}", "division by zero"),
+        ("{{ (1e308 * 10)|int }}", "a number gets too large"),
         ("{{ ''.__class__ }}", "not allowed in a template"),
         ("{{ camera.__globals__ }}", "not allowed in a template"),
         ("{{ '{0.__class__}'.format(1) }}", "not allowed in a template"),

@@ -73,6 +73,7 @@ def test_a_path_that_leads_elsewhere_is_refused_with_its_line(path: str) -> None
         ("{% include 'x' %}", ["line 2", "'include' is not allowed: a template reads no other file"]),
         ("{% import 'x' as y %}", ["line 2", "'import' is not allowed"]),
         ("{% extends 'x' %}", ["line 2", "'extends' is not allowed"]),
+        ("{{ 2 * -1e999 }}", ["line 2", "a number is too large: at most 1.797e308"]),
         ("{% set seed = 3 %}", ["line 2", "'seed' has a meaning already"]),
         ("{% macro camera() %}{% endmacro %}", ["line 2", "'camera' has a meaning already"]),
         ("{% for x in seed %}", ["line 2", "endfor"]),

@@ -62,6 +62,8 @@ LOAD = "usage."
 MEMORY = "usage.memory."
 """Beginnings of the names of figures of load, and of memory."""
 
+_LATE_SECONDS = 1.0
+"""Latency of a pose from which a program holds more frames than it works on."""
 DISTURBED = ("usage.cpu.meanCores", "usage.cpu.maxCores", "usage.wallSeconds")
 """Columns that say nothing where a run shared its cores with other work or was throttled."""
 
@@ -189,14 +191,25 @@ def pooling_notes(pooled: Sequence[str]) -> list[str]:
     return [f"averaged over different values of {', '.join(named)}"]
 
 
-def disturbance_notes(frame: Frame, metrics: Iterable[str]) -> list[str]:
-    """Say how many runs are left out of the figures on load."""
+def disturbance_notes(frame: Frame, metrics: Sequence[str]) -> list[str]:
+    """Say how many runs are left out of the figures on load, and how many fell behind in those on memory."""
+    notes = []
     left_out = [name for name in metrics if name in DISTURBED]
     count = int(np.nansum(frame.column("disturbed").floats())) if left_out else 0
-    if not count:
-        return []
-    runs = "1 run" if count == 1 else f"{count} runs"
-    return [f"{runs} shared cores with other work or were throttled: left out of {', '.join(left_out)}"]
+    if count:
+        runs = "1 run" if count == 1 else f"{count} runs"
+        notes.append(
+            f"{runs} shared cores with other work or were throttled: left out of {', '.join(left_out)}"
+        )
+    if any(name.startswith(MEMORY) for name in metrics):
+        latest = frame.column("metrics.latencySeconds.max").floats()
+        late = latest[latest > _LATE_SECONDS]
+        if late.size:
+            runs = "1 run" if late.size == 1 else f"{late.size} runs"
+            notes.append(
+                f"{runs} fell up to {late.max():.0f} s behind in real time: their memory holds what waited"
+            )
+    return notes
 
 
 def direction_notes(metrics: Iterable[str]) -> list[str]:

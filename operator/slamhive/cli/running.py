@@ -436,5 +436,6 @@ def _report(job: Job, bench: Workbench) -> None:
         f"{escape(job.sweep.name)}: {plural(len(job.points), 'run')}: {', '.join(parts)}{escape(reason)}"
     )
     out.print(f"Files:      {bench.home.path / 'runs' / job.sweep.name}", soft_wrap=True)
-    more = f"{command_name()} results table --sweep {job.sweep.name}   (list, show, export)"
-    out.print(f"More:       {more}", soft_wrap=True)
+    if succeeded or failed:  # else nobody knows the sweep yet
+        more = f"{command_name()} results table --sweep {job.sweep.name}   (list, show, export)"
+        out.print(f"More:       {more}", soft_wrap=True)

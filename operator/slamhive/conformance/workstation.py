@@ -145,7 +145,7 @@ class OnWorkstation:
         own = bench.another(container=ContainerChoice(find_engine().name))
         if not pull:
             own.programs.containers.image_id(entry)
-        own.programs.get(entry)
+        own.programs.get(entry, entry.algorithm.spec.paces[0])
         return cls(own, name, dataset, contained=True)
 
     def unavailable(self) -> str | None:

@@ -31,17 +31,20 @@ from slamhive.model.ros1 import Ros1
 from slamhive.model.sensors import ROLES, FrameOwner, Role, SensorMode
 from slamhive.model.templates import FILES_LIMIT, TEMPLATE_LIMIT, TEMPLATES_LIMIT, read_template
 
-_BOUND_SEGMENT = r"([^/.:]|\.[^/.:]|\.\.[^/:])[^/:]*"
+_NOT_BOUND = r'/:,"\x00-\x1f'
+_BOUND_SEGMENT = rf"([^.{_NOT_BOUND}]|\.[^.{_NOT_BOUND}]|\.\.[^{_NOT_BOUND}])[^{_NOT_BOUND}]*"
 AssetName = Annotated[
     str,
     StringConstraints(
         pattern=worded(
             rf"^{_BOUND_SEGMENT}(/{_BOUND_SEGMENT})*$",
-            "expected a path below its folder, without . or .. or a colon in it",
+            "expected a path below its folder, without . or .. or a colon, comma, quote or line break in it",
         ),
         max_length=1024,
     ),
-    Field(description="A path that stays below its folder and holds no colon: it is mounted in containers."),
+    Field(
+        description="A path below its folder, without colon, comma, quote or line break: containers mount it."
+    ),
 ]
 SettingsPath = Annotated[
     str,
@@ -225,7 +228,9 @@ class Mode(Model):
 class Asset(Model):
     """A file that an algorithm needs beside the recording, such as a vocabulary or weights."""
 
-    name: AssetName = Field(description="File name under assets/ in the run folder, without a colon.")
+    name: AssetName = Field(
+        description="File name under assets/ in the run folder, without colon, comma, quote or line break."
+    )
     path: RelativePath | None = optional("File beside the Algorithm's own.")
     url: str | None = optional("Where to get it.", pattern=HTTPS)
     sha256: Sha256 | None = optional("Checksum of the file.")

@@ -31,7 +31,13 @@ QUANTITY_PATTERN = worded(
     r"^[0-9]+(\.[0-9]+)?(m|k|M|G|T|Ki|Mi|Gi|Ti)?$", "expected a quantity such as 2, 500m or 4Gi"
 )
 _NAME = worded(r"^[a-z0-9]([-a-z0-9.]*[a-z0-9])?$", "expected a name of lower-case letters, digits, - and .")
-_IMAGE = worded(r"^\S+$", "expected the name of an image, without blanks")
+_PART = r"[a-z0-9]+([._-]+[a-z0-9]+)*"
+# As registries have it: what an engine would take for an option or a file ("--all", "dir:/x") is no name.
+_IMAGE = worded(
+    rf"^([A-Za-z0-9][A-Za-z0-9.-]*(:[0-9]+)?/)?{_PART}(/{_PART})*"
+    r"(:[A-Za-z0-9_][A-Za-z0-9_.-]{0,127})?(@[a-z0-9]+:[0-9a-f]{32,128})?$",
+    "expected the name of an image, without blanks, such as registry.example.org/lab/slam:1.2",
+)
 _SEGMENT = r"([^/.]|\.[^/.]|\.\.[^/])[^/]*"
 RELATIVE_PATH = worded(
     rf"^{_SEGMENT}(/{_SEGMENT})*$", "expected a path below its folder: not absolute, no . or .. in it"

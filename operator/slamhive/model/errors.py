@@ -99,10 +99,15 @@ def sentence(error: Exception) -> str:
     return str(error)
 
 
+_MEANT = {"mode": "sensors"}
+"""Fields of manifests that commands and programs know by another name."""
+
+
 def suggestion(name: str, known: Iterable[str]) -> str:
     """End a sentence about an unknown name with the nearest known one, or with all of a short list."""
     names = sorted(known)
-    close = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
+    meant = _MEANT.get(name)
+    close = [meant] if meant in names else difflib.get_close_matches(name, names, n=1, cutoff=0.6)
     if close:
         return f"; did you mean {close[0]!r}?"
     if not names:

@@ -7,6 +7,7 @@ computes what is constant in them. `slamhive.templating` gives the names their m
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -164,6 +165,9 @@ def _check_node(node: nodes.Node, stored: set[str]) -> None:
     kind, name = type(node).__name__, str(getattr(node, "name", ""))
     if kind in _ROWS:
         raise TemplateMistake(node.lineno, f"{_ROWS[kind]!r} is not allowed: a template reads no other file")
+    value = getattr(node, "value", None)
+    if isinstance(value, float) and not math.isfinite(value):
+        raise TemplateMistake(node.lineno, "a number is too large: at most 1.797e308")
     if kind == "Filter":
         _known(name, FILTERS, "filter", node.lineno)
     if kind == "Test":

@@ -103,7 +103,18 @@ def _probe(python: str, variables: dict[str, str]) -> tuple[tuple[int, int], str
     return (int(major), int(minor)), release
 
 
+def missing_packages() -> list[str]:
+    """Return those of the packages that this machine's dpkg hasn't installed; all where it knows of none."""
+    ask = ["dpkg-query", "--show", "--showformat", "${Package} ${db:Status-Status}\\n", *PACKAGES]
+    try:
+        told = subprocess.run(ask, capture_output=True, text=True, check=False, timeout=60).stdout
+    except (OSError, subprocess.TimeoutExpired):
+        told = ""
+    return [name for name in PACKAGES if f"{name} installed" not in told.splitlines()]
+
+
 def what_it_takes() -> str:
-    """Return the sentence for where ROS is missing."""
+    """Return the sentence for where ROS is missing, with the packages that would bring what is."""
     least = ".".join(map(str, _LEAST))
-    return f"needs ROS 1 for Python {least} or newer (on Debian 12: apt-get install {' '.join(PACKAGES)})"
+    wanted = " ".join(missing_packages() or PACKAGES)
+    return f"needs ROS 1 for Python {least} or newer (on Debian 12: apt-get install {wanted})"

@@ -80,6 +80,7 @@ class Renderer:
             RecursionError: "nested too deeply",
             UnicodeEncodeError: "half a character (a lone surrogate)",
             ZeroDivisionError: "division by zero",
+            OverflowError: "a number gets too large",
         }
         told = _clean(str(error))
         if type(error) in sentences:

@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -17,9 +18,11 @@ from slamhive.local.home.catalog import Workshop
 from slamhive.local.programs import engines
 from slamhive.local.programs.containers import Containers
 from slamhive.local.programs.engines import ContainerChoice
+from slamhive.local.programs.executors import unavailable
 from slamhive.local.running.choosing import RunChoice
 from slamhive.local.running.runner import Job, Runner, Watcher
 from slamhive.local.running.workbench import Workbench
+from slamhive.model.algorithm import AlgorithmSpec
 from slamhive.model.loading import load_file
 from slamhive.model.results import Phase, Reason
 from slamhive.model.sweep import Sweep
@@ -38,6 +41,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.usefixtures("podman")
 
+BASE = {"modes": [{"name": "lidar", "roles": ["lidar"]}], "output": {"frame": "lidar"}}
 SHELL = "slamhive/shell-algorithm:1.0.0"
 POSES = """i=0
 while [ $i -lt 100 ]; do
@@ -66,9 +70,8 @@ class Boxes:
         folder.mkdir(exist_ok=True)
         workshop.add(load_file(self.home.path / "tiny.yaml"), self.home.path)
         for number, fields in enumerate(algorithms):
-            base = {"modes": [{"name": "lidar", "roles": ["lidar"]}], "output": {"frame": "lidar"}}
             header = {"apiVersion": "slamhive.io/v1alpha1", "kind": "Algorithm"}
-            made = header | {"metadata": {"name": f"box{number}"}, "spec": base | fields}
+            made = header | {"metadata": {"name": f"box{number}"}, "spec": BASE | fields}
             (folder / "algorithm.yaml").write_text(yaml.safe_dump(made))
             workshop.add(load_file(folder / "algorithm.yaml"), folder)
         names = [f"box{number}" for number in range(len(algorithms))]
@@ -119,11 +122,6 @@ def test_an_image_that_can_not_be_used_is_one_sentence_and_others_go_on(boxes: B
     """Those that write nothing or too little, too."""
     cases: list[tuple[dict[str, Any], str | None, str]] = [
         (shell(POSES), None, ""),
-        (
-            shell("", image="localhost/nobody/has-this:7"),
-            "ImagePullFailed",
-            "image 'localhost/nobody/has-this:7': ",
-        ),
         ({"image": bare}, "AlgorithmUnavailable", "has no program of its own: spec.command must name one"),
         (
             shell("true", image=bare),
@@ -135,7 +133,7 @@ def test_an_image_that_can_not_be_used_is_one_sentence_and_others_go_on(boxes: B
             "AlgorithmFailed",
             "the interpreter that its first line names",
         ),
-        ({"image": bare, "command": ["/secret"]}, "AlgorithmFailed", "doesn't let user 65532 run it"),
+        ({"image": bare, "command": ["/secret"]}, "AlgorithmFailed", "the image doesn't let everyone run it"),
         (shell("echo x > /etc/x"), "AlgorithmFailed", "cannot create /etc/x: Read-only file system"),
         (shell("true"), "NoTrajectory", "output/trajectory.txt is missing"),
         (shell(f"{POSES}chmod 0 /slamhive/output/trajectory.txt"), None, ""),
@@ -189,6 +187,28 @@ def test_a_program_sees_what_it_sees_in_a_pod_and_no_more(
     assert said[-3:] == ["SLAMHIVE_CONTAINER=algorithm", "SLAMHIVE_RUN=/slamhive", "SLAMHIVE_SEED=7"]
 
 
+@pytest.fixture
+def closed(podman: Engine, tmp_path: Path) -> Iterator[str]:
+    """An image with a file in its /tmp, which only root may write into."""
+    name = f"localhost/slamhive-closed-{tmp_path.name.replace('_', '-')}:1"
+    script = f"""container=$(buildah from {SHELL})
+folder=$(buildah mount $container)
+touch $folder/tmp/left && chmod 755 $folder/tmp
+buildah commit -q $container {name}
+buildah rm $container
+"""
+    subprocess.run(["sh", "-e", "-c", script], check=True, capture_output=True, timeout=120)
+    yield name
+    podman.call("rmi", "--force", name)
+
+
+def test_scratch_is_empty_and_writable_whatever_the_image_has_there(boxes: Boxes, closed: str) -> None:
+    """A pod has a volume of its own there."""
+    (record,) = boxes(shell(f"ls -A /tmp; echo x > /tmp/x && cat /tmp/x; {POSES}", image=closed))
+    assert record.phase is Phase.SUCCEEDED, record.message
+    assert (Path(record.folder or "") / "log.txt").read_text().split() == ["x"]
+
+
 def test_a_run_says_of_which_image_it_is_and_an_equal_one_is_not_made_again(boxes: Boxes) -> None:
     (first,) = boxes(shell(POSES))
     image = str(first.provenance.image_id)
@@ -240,16 +260,52 @@ def test_a_recording_that_others_can_not_read_is_named(boxes: Boxes) -> None:
     assert "chmod o+rX" in (record.message or "")
 
 
-def test_a_player_whose_image_is_not_there_is_named(boxes: Boxes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SLAMHIVE_PLAYER_IMAGE", "localhost/no-player:1")
-    ros = {
-        "paces": ["Realtime"],
-        "realtime": {"queue": 1, "drop": "Oldest"},
-        "ros1": {"poses": {"topic": "/odometry", "type": "Odometry"}},
+NODE = {
+    "paces": ["Realtime"],
+    "realtime": {"queue": 1, "drop": "Oldest"},
+    "ros1": {"poses": {"topic": "/odometry", "type": "Odometry"}},
+    "recording": ["Rosbag1"],
+}
+MADE_BY = "asked of no registry: in a checkout of SLAM Hive, images/build --tool buildah "
+
+
+def test_no_registry_is_asked_for_an_image_of_ours_or_of_this_machine(
+    boxes: Boxes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever owns such a name at a public one would have programs run here."""
+    cases = {
+        "localhost/nobody/has-this:7": "which is in no registry and not here: podman build or podman tag",
+        "slamhive/nobody-has-this:7": f"{MADE_BY}slamhive/nobody-has-this:7 makes it",
+        f"docker.io/slamhive/has-this@sha256:{7:064}": MADE_BY,
     }
-    (record,) = boxes(shell(POSES, **ros), input={"pace": "Realtime"})
-    assert record.reason is Reason.IMAGE_PULL_FAILED
-    assert "image 'localhost/no-player:1'" in (record.message or "")
+    records = boxes(*(shell("", image=name) for name in cases))
+    for record, (name, message) in zip(records, cases.items(), strict=True):
+        assert record.reason is Reason.ALGORITHM_UNAVAILABLE
+        assert f"needs the image {name}, which is" in (record.message or "")
+        assert message in (record.message or "")
+    monkeypatch.setenv("SLAMHIVE_PLAYER_IMAGE", "slamhive/no-player:1")
+    node = shell(POSES) | NODE
+    (record,) = boxes(node, input={"pace": "Realtime"})
+    assert record.reason is Reason.ALGORITHM_UNAVAILABLE
+    assert f"{MADE_BY}slamhive/no-player:1" in (record.message or "")
+    assert not [line for line in boxes.told if "pull" in line]
+    spec = AlgorithmSpec.model_validate(BASE | node)
+    entry: Any = SimpleNamespace(algorithm=SimpleNamespace(spec=spec))
+    assert unavailable(entry) == record.message
+
+
+def test_a_node_that_its_image_can_not_start_is_the_algorithms_fault(boxes: Boxes, bare: str) -> None:
+    """It shares its player's processes, so the runtime starts it, where else a small first program does."""
+    cases = {
+        "bash": "cannot start bash: No such file or directory; it, or the interpreter",
+        "/no": "cannot start /no: No such file or directory; it, or the interpreter",
+        "/script": "cannot start /script: No such file or directory; it, or the interpreter",
+        "/secret": "cannot start /secret: Permission denied; the image doesn't let",
+    }
+    nodes = [NODE | {"image": bare, "command": [program]} for program in cases]
+    for record, message in zip(boxes(*nodes, input={"pace": "Realtime"}), cases.values(), strict=True):
+        assert record.reason is Reason.ALGORITHM_FAILED, record.message
+        assert (record.message or "").startswith(message)
 
 
 @pytest.fixture
@@ -270,8 +326,8 @@ def registry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Regist
 
 
 def test_an_image_is_pulled_once_for_all_runs(boxes: Boxes, registry: Registry, podman: Engine) -> None:
-    name = f"localhost:{registry.server_port}/lab/shell:1"
-    unknown = f"localhost:{registry.server_port}/lab/shell:2"
+    name = f"localhost:{registry.server_port}/slamhive/shell:1"
+    unknown = f"localhost:{registry.server_port}/slamhive/shell:2"
     try:
         records = boxes(shell(POSES, image=name), shell(f"{POSES}true", image=name), shell("", image=unknown))
     finally:

@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 import json
+import os
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from slamhive.local.programs.containerwords import ImageProgram, confined
 from slamhive.local.programs.engines import ContainerChoice, Engine, find_engine
+from slamhive.local.programs.images import Image
 from slamhive.local.programs.unavailable import Unavailable
 from slamhive.monitor.programs.engine import EngineError
 
@@ -141,3 +144,22 @@ def test_a_long_or_wild_message_is_cut_and_printable(installed: Callable[..., No
         engine.call("ps")
     assert len(str(found.value)) <= 400
     assert str(found.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("engine", "user"),
+    [
+        (Engine("podman", ("podman",), rootless=True), "65532:65532"),
+        (Engine("docker", ("docker",), rootless=True), "0:0"),
+        (Engine("docker", ("docker",)), "1000:100"),
+    ],
+)
+def test_without_root_a_program_is_whom_its_folder_belongs_to(
+    monkeypatch: pytest.MonkeyPatch, engine: Engine, user: str
+) -> None:
+    """So no folder has to be opened to others of the machine."""
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    monkeypatch.setattr(os, "getegid", lambda: 100)
+    words = confined(ImageProgram(engine, Image("sha256:1", ()), "home"), "run", (), 1)
+    assert words[words.index("--user") + 1] == user
+    assert any(word.startswith("/tmp:") and "notmpcopyup" in word for word in words) is engine.is_podman

@@ -12,6 +12,7 @@ import hashlib
 import json
 import os
 import stat
+import tarfile
 import threading
 import uuid
 from contextlib import suppress
@@ -33,9 +34,8 @@ from slamhive.local.programs.containerwords import (
 )
 from slamhive.local.programs.engines import engine_named, find_engine
 from slamhive.local.programs.images import (
-    OF_THIS_MACHINE,
     Image,
-    images_of_this_machine,
+    find_image,
     inspect,
     player_image,
     pull,
@@ -87,28 +87,24 @@ class Containers:
 
     @staticmethod
     def check(entry: AlgorithmEntry, choice: ContainerChoice | None) -> None:
-        """Check that an algorithm's image could be run here, whether it still has to be pulled or not.
+        """Check that an algorithm's image, and its player's, could be run here, if need be after a pull.
 
         Raises:
-            Unavailable: it can't.
+            Unavailable: they can't.
+            ImageMissing: the engine doesn't say.
         """
-        engine, image = find_engine(choice), entry.algorithm.spec.image
-        if image is None:
+        engine, spec = find_engine(choice), entry.algorithm.spec
+        if spec.image is None:
             raise Unavailable("has no image")
-        known = (
-            "@" in image or not image.startswith(OF_THIS_MACHINE) or image in images_of_this_machine(engine)
-        )
-        if not known:
-            raise Unavailable(
-                f"needs the image {image}, which is in no registry and not here: {engine.name} build or "
-                f"{engine.name} tag makes it"
-            )
+        find_image(engine, spec.image)
+        if all(map(spec.plays, spec.paces)):
+            find_image(engine, player_image())
 
     def digest(self, entry: AlgorithmEntry) -> str:
         """Return the digest of an algorithm's image, as a cluster would know it.
 
         Raises:
-            Unavailable: no engine can be used.
+            Unavailable: no engine can be used, or the image has to be made first.
             ImageMissing: the image isn't there.
         """
         return image_digest(self.image_id(entry))
@@ -117,7 +113,7 @@ class Containers:
         """Return the identity of an algorithm's image: the digest that its name carries, or of its content.
 
         Raises:
-            Unavailable: no engine can be used.
+            Unavailable: no engine can be used, or the image has to be made first.
             ImageMissing: the image isn't there.
         """
         name = entry.algorithm.spec.image or ""
@@ -131,7 +127,7 @@ class Containers:
         Where runs of the pace are played to, the player's image has to be there too.
 
         Raises:
-            Unavailable: no engine can be used, or the image has no program.
+            Unavailable: no engine can be used, the image has to be made first, or it has no program.
             ImageMissing: the image can't be pulled.
         """
         engine, spec = find_engine(self._choice), entry.algorithm.spec
@@ -196,7 +192,7 @@ class Containers:
             if name in self._missing:
                 raise ImageMissing(self._missing[name])
             if name not in self._images:
-                found = inspect(engine, name)
+                found = find_image(engine, name)
                 if found is None and not pull:
                     raise ImageMissing(f"image {name!r} is not there yet")
                 if found is None:
@@ -241,7 +237,7 @@ class ContainerProgram(ImageProgram):
         run = folder / "run"
         # Those with a path are in the image.
         place_assets(order.entry, run / "assets", folder.parents[2] / "assets", fetched_alone=True)
-        if self.engine.rootless:
+        if os.geteuid() != 0:
             return  # the algorithm's user is we
         if order.entry.algorithm.spec.files:
             for path in (run / SETTINGS_FOLDER, *(run / SETTINGS_FOLDER).rglob("*")):
@@ -251,7 +247,7 @@ class ContainerProgram(ImageProgram):
             raise DataError(
                 f"{closed} can't be read by user {USER}, as which a container runs: chmod o+rX {closed}"
             )
-        _give(run / "output")
+        os.chown(run / "output", USER, USER)
 
     def player(self, order: AttemptOrder, folder: Path) -> PreparedPlayer | None:
         """Create the container of a player; the program's shares its network and its processes, as in a pod.
@@ -266,10 +262,10 @@ class ContainerProgram(ImageProgram):
             raise SystemFault("the player has no image")
         own = folder / "own"
         own.mkdir(parents=True)
-        if not self.engine.rootless:
-            _give(own)
+        if os.geteuid() == 0:
+            os.chown(own, USER, USER)
         words = player_words(self, self.player_image, order, folder, pod)
-        supervision = self._create(words, folder) | {"argv": PLAYER, "cwd": RUN, "env": {}}
+        supervision = self._create(words, folder, self.player_image) | {"argv": PLAYER, "cwd": RUN, "env": {}}
         return PreparedPlayer(supervision, own / READY_FILE, lambda: dict(pod.algorithm_variables))
 
     def supervision(
@@ -282,15 +278,25 @@ class ContainerProgram(ImageProgram):
         """
         words = create_words(self, order, folder, variables, _created(folder / "player"))
         program = order.entry.algorithm.spec.command or self.image.program
-        return self._create(words, folder) | {"argv": tuple(program), "cwd": RUN, "env": {}}
+        return self._create(words, folder, self.image) | {"argv": tuple(program), "cwd": RUN, "env": {}}
 
-    def _create(self, words: Sequence[str], folder: Path) -> dict[str, Any]:
+    def _open_scratch(self, identity: str) -> None:
+        """Have a container's own /tmp be for all: runc gives its mode to what is mounted there."""
+        folder = tarfile.TarInfo("tmp")
+        folder.type, folder.mode = tarfile.DIRTYPE, 0o1777
+        archive = folder.tobuf().decode() + "\0" * 2 * tarfile.BLOCKSIZE
+        with suppress(EngineError):  # it then has none, and says so where it needs one
+            self.engine.call("cp", "-", f"{identity}:/", given=archive)
+
+    def _create(self, words: Sequence[str], folder: Path, image: Image) -> dict[str, Any]:
         """Create a container, and return what its supervisor is told of it."""
         try:
             identity = self.engine.call("create", *words).split()[-1]
         except (EngineError, IndexError) as error:
             raise SystemFault(f"{self.engine.name} can't make the container: {error}") from None
         (folder / _CREATED).write_text(json.dumps({"engine": self.engine.name, "id": identity}))
+        if image.closes_scratch and self.engine.is_podman:
+            self._open_scratch(identity)
         contained = ContainedSpec(
             engine=self.engine.command,
             identity=identity,
@@ -312,14 +318,6 @@ def _created(folder: Path) -> str | None:
     with suppress(OSError, ValueError, KeyError):
         return str(json.loads((folder / _CREATED).read_text())["id"])
     return None
-
-
-def _give(folder: Path) -> None:
-    """Let the algorithm's user write into a folder."""
-    if os.geteuid() == 0:
-        os.chown(folder, USER, USER)
-    else:
-        folder.chmod(0o777)
 
 
 def _closed_to_others(folder: Path) -> Path | None:

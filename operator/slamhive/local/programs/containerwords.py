@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import resource
 from dataclasses import dataclass
@@ -36,7 +37,7 @@ RUN_LABEL = "io.slamhive.run"
 ALGORITHM = "algorithm"
 PID_FILE = "container.pid"
 _ALONE = ("--network", "none", "--init")
-_SCRATCH_BYTES = 2 * 2**30
+_SCRATCH = f"rw,nosuid,nodev,exec,size={2 * 2**30},mode=1777"
 _MOST_FILES = 1 << 20
 # podman itself takes no more for its own user, and refuses to give what it hasn't.
 _MOST_TASKS = 1 << 15
@@ -82,7 +83,7 @@ def create_words(
     told = algorithm_variables(order, spec) | dict(variables)
     command = expanded(spec.command, told)
     return [
-        *_confined(program, order.uid, order.cpus, memory),
+        *confined(program, order.uid, order.cpus, memory),
         # As in a pod, the algorithm isn't the first process, to which the kernel passes on few signals; it
         # shares network and processes with its player.
         *(_of_player(player) if player is not None else _ALONE),
@@ -113,7 +114,7 @@ def player_words(
         (folder / "own", PLAYER_FOLDER, False),
     ]
     return [
-        *_confined(program, order.uid, cpus, MEMORY_LIMIT),
+        *confined(program, order.uid, cpus, MEMORY_LIMIT),
         *_ALONE,
         *_of_podman(program.engine, folder),
         *(word for mounted in map(_mount, *zip(*seen, strict=True)) for word in ("--mount", mounted)),
@@ -124,8 +125,8 @@ def player_words(
     ]
 
 
-def _confined(program: ImageProgram, run: str, cpus: Sequence[int], memory: int) -> list[str]:
-    """Return the bounds of a container.
+def confined(program: ImageProgram, run: str, cpus: Sequence[int], memory: int) -> list[str]:
+    """Return the bounds of a container, with its user.
 
     Args:
         program: whose it is.
@@ -137,19 +138,27 @@ def _confined(program: ImageProgram, run: str, cpus: Sequence[int], memory: int)
         # Nothing but this machine: it was pulled before, and what a tag means may change meanwhile.
         *("--pull", "never"),
         *("--label", f"{HOME_LABEL}={program.home}", "--label", f"{RUN_LABEL}={run}"),
-        *("--user", f"{USER}:{USER}", "--workdir", RUN),
+        *("--user", _user(program.engine), "--workdir", RUN),
         *("--read-only", "--ipc", "private"),
         *("--cap-drop", "all", "--security-opt", "no-new-privileges", "--security-opt", "label=disable"),
         *("--memory", str(memory), "--memory-swap", str(memory)),
         *("--pids-limit", str(TASK_LIMIT)),
         *(("--cpuset-cpus", ",".join(map(str, cpus))) if cpus else ()),
         *limits(),
-        *("--tmpfs", f"/tmp:rw,nosuid,nodev,exec,size={_SCRATCH_BYTES},mode=1777"),  # noqa: S108
+        *("--tmpfs", f"/tmp:{_SCRATCH}{',notmpcopyup' if program.engine.is_podman else ''}"),  # noqa: S108
         # The supervisor keeps the log, within bounds.
         *("--log-driver", "none"),
         # What is removed while it runs is to be gone at once.
         *("--stop-timeout", "0"),
     ]
+
+
+def _user(engine: Engine) -> str:
+    """Return the user and group of a container: where its folders can't be given to another, we ourselves."""
+    if engine.is_podman or (os.geteuid() == 0 and not engine.rootless):
+        return f"{USER}:{USER}"
+    # Who runs docker's daemon without root is root in its containers.
+    return "0:0" if engine.rootless else f"{os.geteuid()}:{os.getegid()}"
 
 
 def _of_player(identity: str) -> tuple[str, ...]:

@@ -74,13 +74,13 @@ class Engine:
         # podman keeps a container whose network another one shares; with --depend that one goes too.
         return ("rm", "--force", "--depend") if self.is_podman else ("rm", "--force")
 
-    def call(self, *words: str, seconds: float = COMMAND_SECONDS) -> str:
-        """Have it do something and return what it printed.
+    def call(self, *words: str, seconds: float = COMMAND_SECONDS, given: str = "") -> str:
+        """Have it do something with what it is given to read, and return what it printed.
 
         Raises:
             EngineError: it doesn't; the message is the last line that it printed.
         """
-        return run_engine([*self.command, *words], seconds)
+        return run_engine([*self.command, *words], seconds, given)
 
     def follow(self, *words: str, tell: Callable[[str], None]) -> None:
         """Have it do something that may take long, each line that it prints being passed on.

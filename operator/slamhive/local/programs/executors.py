@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Protocol
 from slamhive.local.programs.containers import Containers
 from slamhive.local.programs.engines import ContainerChoice
 from slamhive.local.programs.environments import Environments, availability, is_whole
-from slamhive.local.programs.unavailable import Unavailable
+from slamhive.local.programs.unavailable import ImageMissing, Unavailable
 from slamhive.model.algorithm import Pace
 
 if TYPE_CHECKING:
@@ -139,6 +139,6 @@ def unavailable(entry: AlgorithmEntry, choice: ContainerChoice | None = None) ->
         return availability(entry)
     try:
         Containers.check(entry, choice)
-    except Unavailable as error:
+    except (Unavailable, ImageMissing) as error:
         return str(error)
     return None

@@ -8,19 +8,21 @@ import os
 import re
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from slamhive import __version__
-from slamhive.local.programs.unavailable import ImageMissing
+from slamhive.local.programs.unavailable import ImageMissing, Unavailable
 from slamhive.monitor.programs.engine import EngineError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from slamhive.local.programs.engines import Engine
 
-OF_THIS_MACHINE = "localhost/"
-"""Beginning of the names of images that no registry has."""
+_OF_THIS_MACHINE = "localhost/"
+_OURS = ("docker.io/slamhive/", "index.docker.io/slamhive/")
 _UNKNOWN_IMAGE = re.compile(r"no such image|image not known|not known|not found", re.IGNORECASE)
 
 
@@ -31,25 +33,40 @@ class Image:
     Attributes:
         identity: digest of its configuration, which names its content: ``sha256:…``.
         program: the words of its own program.
+        closes_scratch: others than its owner can't write into its /tmp, as far as that shows from outside.
     """
 
     identity: str
     program: tuple[str, ...]
-
-
-@cache
-def images_of_this_machine(engine: Engine) -> frozenset[str]:
-    """Return the names of images that no registry has; asked once a program."""
-    try:
-        listed = engine.call("images", "--format", "{{.Repository}}:{{.Tag}}")
-    except EngineError:
-        return frozenset()
-    return frozenset(name for name in listed.split() if name.startswith(OF_THIS_MACHINE))
+    closes_scratch: bool = False
 
 
 def player_image() -> str:
     """Return the image that plays recordings to ROS 1 nodes; $SLAMHIVE_PLAYER_IMAGE names another."""
     return os.environ.get("SLAMHIVE_PLAYER_IMAGE") or f"slamhive/ros1-player:{__version__}"
+
+
+def find_image(engine: Engine, name: str) -> Image | None:
+    """Return an engine's image of a name, None where it has to be pulled first.
+
+    Raises:
+        Unavailable: it isn't there, and no registry is asked for it: at a public one, the name of an image of
+            ours may be anybody's.
+        ImageMissing: the engine doesn't say.
+    """
+    found, whole = inspect(engine, name), qualified(name)
+    if found is None and whole.startswith(_OF_THIS_MACHINE):
+        raise Unavailable(
+            f"needs the image {name}, which is in no registry and not here: {engine.name} build or "
+            f"{engine.name} tag makes it"
+        )
+    if found is None and whole.startswith(_OURS):
+        tool = "buildah" if engine.is_podman else "docker"
+        raise Unavailable(
+            f"needs the image {name}, which is not here and is asked of no registry: in a checkout of SLAM "
+            f"Hive, images/build --tool {tool} {name} makes it"
+        )
+    return found
 
 
 def pull(engine: Engine, name: str) -> None:
@@ -59,12 +76,12 @@ def pull(engine: Engine, name: str) -> None:
         EngineError: it can't be had.
     """
     if not sys.stderr.isatty():
-        engine.follow("pull", name, tell=lambda _line: None)
+        engine.follow("pull", "--", name, tell=lambda _line: None)
         return
     # Both draw their progress on a terminal alone: podman on standard error, docker on standard output.
     quiet = subprocess.DEVNULL if engine.is_podman else sys.stderr
     done = subprocess.run(
-        [*engine.command, "pull", name], stdin=subprocess.DEVNULL, stdout=quiet, check=False
+        [*engine.command, "pull", "--", name], stdin=subprocess.DEVNULL, stdout=quiet, check=False
     )
     if done.returncode != 0:
         raise EngineError(f"{engine.name} pull {name} failed; what it said stands above")
@@ -92,10 +109,11 @@ def inspect(engine: Engine, name: str) -> Image | None:
         ImageMissing: it doesn't say.
     """
     try:
-        (told,) = json.loads(engine.call("image", "inspect", name))
+        (told,) = json.loads(engine.call("image", "inspect", "--", name))
         configuration = told.get("Config") or {}
         words = [*(configuration.get("Entrypoint") or ()), *(configuration.get("Cmd") or ())]
         identity = str(told["Id"]).removeprefix("sha256:")
+        closed = _closes_scratch((told.get("GraphDriver") or {}).get("Data") or {})
     except EngineError as error:
         # Engines have no exit code of their own for this, and their words differ by version.
         if _UNKNOWN_IMAGE.search(str(error)):
@@ -103,4 +121,12 @@ def inspect(engine: Engine, name: str) -> Image | None:
         raise ImageMissing(f"image {name!r}: {error}") from None
     except (ValueError, KeyError, TypeError, AttributeError):
         raise ImageMissing(f"image {name!r}: {engine.name} doesn't say what it is") from None
-    return Image(f"sha256:{identity}", tuple(map(str, words)))
+    return Image(f"sha256:{identity}", tuple(map(str, words)), closed)
+
+
+def _closes_scratch(layers: Mapping[str, Any]) -> bool:
+    """Tell whether the uppermost of an image's layers that has a /tmp closes it to others."""
+    for layer in (layers.get("UpperDir"), *str(layers.get("LowerDir")).split(":")):
+        with suppress(OSError):
+            return os.lstat(f"{layer}/tmp").st_mode & 0o777 != 0o777  # noqa: S108 - the image's
+    return False

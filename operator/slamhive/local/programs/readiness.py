@@ -29,7 +29,7 @@ from slamhive.monitor.measuring.hierarchy import cpu_quota, own_hierarchies
 from slamhive.monitor.measuring.machine import cpu_model
 from slamhive.monitor.measuring.processes import identify
 from slamhive.monitor.measuring.sources import read_number
-from slamhive.playback.ros import find_ros, what_it_takes
+from slamhive.playback.ros import PACKAGES, find_ros, missing_packages, what_it_takes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -163,7 +163,9 @@ def ros(workshop: Workshop) -> Iterator[ReadinessRow]:
     else:
         costs = f"the ROS 1 nodes {', '.join(nodes)} run in containers and on clusters alone" if nodes else ""
         state = State.MISSING if nodes else State.UNNEEDED
-        yield ReadinessRow("ROS 1", state, "not here", costs, what_it_takes() if nodes else "")
+        lacking = missing_packages()
+        some = f"not whole, without {', '.join(lacking)}" if 0 < len(lacking) < len(PACKAGES) else "not here"
+        yield ReadinessRow("ROS 1", state, some, costs, what_it_takes() if nodes else "")
     # A ROS 2 that is not sourced is found by its folder; one that is sourced may be installed elsewhere.
     there_is = sorted({path.parent.name for path in Path("/opt/ros").glob("*/local_setup.sh")})
     named = os.environ.get("ROS_DISTRO") if os.environ.get("ROS_VERSION") == "2" else None

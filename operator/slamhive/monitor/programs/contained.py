@@ -52,14 +52,17 @@ _LOOK_SECONDS = 0.002
 _ASK_SECONDS = 0.02
 _LEAVE_SECONDS = 30.0
 _SIGNALLED = 128
-# What the small first program of a container says where it can't start the algorithm: podman's catatonit, and
-# docker's tini.
+# Said where an algorithm can't be started: by the small first program of a container (podman's catatonit,
+# docker's tini) or, without one, by the runtime (runc, crun).
 _NEVER_RAN = re.compile(
-    r"ERROR \(catatonit:\d+\): failed to exec pid1: (?P<catatonit>.+)"
-    r"|\[FATAL tini \(\d+\)\] exec .* failed: (?P<tini>.+)"
+    r"(?:ERROR \(catatonit:\d+\): failed to exec pid1"
+    r"|\[FATAL tini \(\d+\)\] exec .* failed"
+    r'|(?:^exec |\b(?:runc|OCI runtime)\b.* exec:? )(?:"[^"]*"|/\S*?)(?:: stat [^:]*)?'
+    r"|executable file `[^`]*` not found in \$PATH|\bopen executable|\bexec container process [^`]*`[^`]*`)"
+    r": ([\w ]+)"
 )
 _NOT_THERE = "it, or the interpreter that its first line names, is not in the image"
-_NOT_ALLOWED = "the image doesn't let user 65532 run it, as which every algorithm runs"
+_NOT_ALLOWED = "the image doesn't let everyone run it, and no algorithm runs as root"
 
 
 class NoAccount:
@@ -217,7 +220,11 @@ class Contained:
         record = ProcessRecord(boot_id(), pid_namespace(), self._me, None, ())
         record.write(self._spec.process_path)
         if self._container.pid_path is not None:
-            self._engine("init", self._container.identity)
+            try:
+                self._engine("init", self._container.identity)
+            except LaunchError as error:
+                never_ran = self.explain(str(error))
+                raise error if never_ran is None else LaunchError(never_ran) from None
             self._attend(int(read_file(self._container.pid_path)), fresh=True)
         began = time.monotonic()
         self._attach(outputs, record.token)
@@ -369,12 +376,7 @@ class Contained:
 
     def explain(self, last_line: str) -> str | None:
         """Return the reason that the algorithm never started inside of its container, None where it did."""
-        found = _NEVER_RAN.search(last_line)
-        if found is None:
-            return None
-        why = (found["catatonit"] or found["tini"]).strip()
-        hint = _NOT_ALLOWED if "ermission" in why else _NOT_THERE
-        return f"cannot start {self._spec.argv[0]}: {why}; {hint}"
+        return explain(self._spec.argv[0], last_line)
 
     def close(self) -> str | None:
         """Let go of open files."""
@@ -410,6 +412,18 @@ class Contained:
         except EngineError as error:
             return str(error)
         return None
+
+
+def explain(program: str, said: str) -> str | None:
+    """Return the reason that a program never started in its container, by what is said; None if it did."""
+    found = _NEVER_RAN.search(said)
+    if found is None:
+        return None
+    why = found[1].strip().capitalize()
+    if "not found" in why:
+        why = "No such file or directory"
+    hint = _NOT_ALLOWED if "ermission" in why else _NOT_THERE
+    return f"cannot start {program}: {why}; {hint}"
 
 
 def _is_ready(descriptor: int) -> bool:

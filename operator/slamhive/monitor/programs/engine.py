@@ -18,8 +18,8 @@ class EngineError(Exception):
     """An engine's own word about what it doesn't do."""
 
 
-def run_engine(command: Sequence[str], seconds: float = COMMAND_SECONDS) -> str:
-    """Have an engine do something and return what it printed.
+def run_engine(command: Sequence[str], seconds: float = COMMAND_SECONDS, given: str = "") -> str:
+    """Have an engine do something with what it is given to read, and return what it printed.
 
     Raises:
         EngineError: It doesn't; the message is the last line that it printed.
@@ -27,7 +27,7 @@ def run_engine(command: Sequence[str], seconds: float = COMMAND_SECONDS) -> str:
     try:
         done = subprocess.run(
             command,
-            stdin=subprocess.DEVNULL,
+            input=given,
             capture_output=True,
             text=True,
             errors="replace",
