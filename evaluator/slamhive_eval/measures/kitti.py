@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors over segments of fixed lengths, as the KITTI odometry benchmark defines them (Geiger et al. 2012).
 
-The devkit's evaluate_odometry.cpp: segments start at every tenth frame of the ground truth and end at the first frame whose
-distance along the ground truth exceeds the start's by more than the length; E is the estimate's motion
+The devkit's evaluate_odometry.cpp: segments start at every tenth frame of the ground truth and end at the
+first frame whose distance along it exceeds the start's by more than the length; E is the estimate's motion
 compared with the true one, its translation and rotation are divided by the nominal length and averaged
 over all segments. The devkit computes in float32, this in float64: the two differ by some 1e-5 relative
 over kilometres, and a segment may end one frame apart where a distance equals a length to seven digits.
@@ -88,8 +88,8 @@ class KittiErrors:
         by_length: One group a length asked for, in the order asked.
         by_speed: One group a speed of the devkit, those without segments left out.
         poses: Associated poses.
-        missing_frames: Frames of the ground truth that the estimate has no pose for; None where the stamps are
-            times, and the ground truth may have more poses than there are frames.
+        missing_frames: Frames of the ground truth that the estimate has no pose for; None where the stamps
+            are times, and the ground truth may have more poses than there are frames.
     """
 
     segments: Segments
