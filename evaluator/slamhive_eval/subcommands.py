@@ -26,6 +26,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "repeated": ("slamhive_eval.commands.repeated", "several runs of one configuration together"),
     "report": ("slamhive_eval.commands.report", "a page or figure that shows estimates"),
     "map": ("slamhive_eval.commands.map", "a map against a reference, or its sharpness"),
+    "explain": ("slamhive_eval.commands.explain", "why a pair doesn't fit: clock, frames, conventions"),
     "batch": ("slamhive_eval.commands.batch", "many estimates, one JSON object a line"),
     "traj": ("slamhive_eval.commands.traj", "what trajectories are like; convert, move, match, cut them"),
     "relations": ("slamhive_eval.commands.relations", "errors over pairwise relations"),

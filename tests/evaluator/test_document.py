@@ -53,7 +53,7 @@ def desk(tmp_path: Path, wander: Callable[..., Trajectory], monkeypatch: pytest.
 
 def test_commands(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = [line for block in blocks("text") for line in block.splitlines()]
-    assert len(lines) == 14
+    assert len(lines) == 15
     for line in lines:
         program, *words = shlex.split(line)
         assert program == "slamhive-eval"

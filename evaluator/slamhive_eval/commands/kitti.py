@@ -36,7 +36,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=kitti.KITTI_STEP,
         metavar="N",
-        help="a segment starts at every N-th pose (default: 10)",
+        help="a segment starts at every N-th frame (default: 10)",
     )
     parser.add_argument(
         "--scale", action="store_true", help="scale EST by its Sim(3) alignment first (monocular estimates)"
@@ -85,7 +85,9 @@ def _scale(asked: argparse.Namespace, reference: Trajectory, estimate: Trajector
 def _show(result: dict[str, Any]) -> str:
     head = f"{result['estimate']}: {result['count']} segments"
     if result["missing"]:
-        head += f", {result['missing']} without a pose at their end"
+        head += f", {result['missing']} without a pose at their begin or end"
+    if result.get("missingFrames"):
+        head += f"; {result['missingFrames']} frames of the ground truth have no pose"
     lines = [head, f"{'':>12}  {'count':>6}  {'t [%]':>9}  {'r [deg/m]':>11}", _line("all", result)]
     lines += [_line(f"{group['length']:g} m", group) for group in result["byLength"]]
     lines += [_line(f"{group['speed']:g} m/s", group) for group in result["bySpeed"]]

@@ -9,12 +9,15 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any, cast
 
-from slamhive_eval import alignment, association, metrics
+import numpy as np
+
+from slamhive_eval import alignment, association, metrics, rotation
 from slamhive_eval.commands import output, tables
-from slamhive_eval.errors import OptionError
+from slamhive_eval.conventions import CONVENTIONS, read_as
+from slamhive_eval.errors import AssociationError, OptionError
 from slamhive_eval.formats import files
 from slamhive_eval.formats.column_tables import read_columns
-from slamhive_eval.preparing import Preparation, prepare
+from slamhive_eval.preparing import Preparation, Prepared, prepare
 from slamhive_eval.statistics import IN_UNIT, STATISTICS
 
 if TYPE_CHECKING:
@@ -22,6 +25,12 @@ if TYPE_CHECKING:
 
     from slamhive_eval.preparing import Clock
     from slamhive_eval.trajectory import Trajectory
+
+_NEARLY_ALL = 0.9
+"""Share of the poses that are compared, below which it is said."""
+_FAR_OFF = 0.1
+"""Errors by the spread of the ground truth, and the usual turn, from which on it is looked for why."""
+_TURNED_RADIANS = 0.1
 
 
 def add_pair(parser: argparse.ArgumentParser) -> None:
@@ -65,6 +74,13 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
     )
     tables.add(parser)
     add_by_index(group)
+    group.add_argument(
+        "--read-as",
+        choices=CONVENTIONS,
+        action="append",
+        default=[],
+        help="convention of EST where it isn't the usual one; `slamhive-eval explain` finds it",
+    )
     group.add_argument(
         "--sort", action="store_true", help="sort the poses of EST by time instead of refusing"
     )
@@ -222,8 +238,12 @@ def read_estimate(asked: argparse.Namespace, name: str, reference: Trajectory | 
     unsorted: files.Unsorted = "sort" if asked.sort else "error"
     how: Any = {"times": times, "topic": asked.topic, "unsorted": unsorted, "by_index": asked.by_index}
     if reference is None:
-        return files.read_trajectory(name, asked.format, **how)
-    return files.read_estimate(name, reference, asked.reference, asked.format, **how)
+        found = files.read_trajectory(name, asked.format, **how)
+    else:
+        found = files.read_estimate(name, reference, asked.reference, asked.format, **how)
+    for convention in asked.read_as:
+        found = read_as(found, convention)
+    return found
 
 
 def read_estimates(asked: argparse.Namespace, reference: Trajectory) -> Iterator[tuple[str, Trajectory]]:
@@ -255,8 +275,18 @@ def measure(
     reference = read_reference(asked)
     measured = []
     for name, estimate in read_estimates(asked, reference):
-        prepared = prepare(reference, estimate, how)
-        measured.append(errors_of(asked, name, prepared.reference, prepared.estimate, prepared.as_dict()))
+        try:
+            prepared = prepare(reference, estimate, how)
+        except AssociationError as error:
+            raise AssociationError(
+                f"{error}; slamhive-eval explain looks for an offset, --match interpolate compares in between"
+            ) from None
+        about = prepared.as_dict()
+        about["notes"] += [
+            *_pairing(reference, estimate, prepared, how),
+            *_hints(reference, estimate, prepared),
+        ]
+        measured.append(errors_of(asked, name, prepared.reference, prepared.estimate, about))
     output.write(asked, measured)
     results = [one.result for one in measured]
     if len(results) == 1:
@@ -264,6 +294,41 @@ def measure(
     else:
         output.emit(asked, {"results": results}, lambda _: show_several(results))
     return 0
+
+
+def _pairing(reference: Trajectory, estimate: Trajectory, prepared: Prepared, how: Preparation) -> list[str]:
+    """Return notes on poses without a partner, and on such that share one."""
+    stamps = (
+        prepared.clock.corrected(estimate.stamps) if prepared.clock else estimate.stamps + how.offset_seconds
+    )
+    short, long = (stamps, reference.stamps) if len(stamps) <= len(reference) else (reference.stamps, stamps)
+    limit = how.max_difference_seconds
+    there = int(np.count_nonzero((short >= long[0] - limit) & (short <= long[-1] + limit)))
+    paired, notes = len(prepared.reference), []
+    if paired < _NEARLY_ALL * there:
+        notes.append(
+            f"{paired} of {there} poses have a partner within {limit:g} s: the figures are theirs alone; "
+            "--match interpolate compares all, --max-diff allows more"
+        )
+    different = len(np.unique(prepared.reference.stamps))
+    if different < _NEARLY_ALL * paired:
+        notes.append(f"{paired} poses were paired with {different} of the ground truth: several share one")
+    return notes
+
+
+def _hints(reference: Trajectory, estimate: Trajectory, prepared: Prepared) -> list[str]:
+    """Return notes on what would make a pair fit better, where it fits badly."""
+    truth, found = prepared.reference.positions, prepared.estimate.positions
+    spread = np.sqrt(np.mean((truth - truth.mean(axis=0)) ** 2))
+    between = rotation.multiply(
+        rotation.conjugate(prepared.reference.quaternions), prepared.estimate.quaternions
+    )
+    turned = reference.oriented and estimate.oriented and np.median(rotation.angle(between)) > _TURNED_RADIANS
+    if np.sqrt(np.mean((found - truth) ** 2)) <= _FAR_OFF * spread and not turned:
+        return []
+    from slamhive_eval.commands.explain import hints  # noqa: PLC0415 - few pairs fit so badly
+
+    return hints(reference, estimate)
 
 
 def show(result: dict[str, Any]) -> str:

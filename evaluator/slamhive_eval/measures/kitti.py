@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors over segments of fixed lengths, as the KITTI odometry benchmark defines them (Geiger et al. 2012).
 
-The devkit's evaluate_odometry.cpp: segments start at every tenth frame and end at the first frame whose
-distance along the ground truth exceeds the start's by more than the length; E is the estimate's motion
+The devkit's evaluate_odometry.cpp: segments start at every tenth frame of the ground truth and end at the
+first frame whose distance along it exceeds the start's by more than the length; E is the estimate's motion
 compared with the true one, its translation and rotation are divided by the nominal length and averaged
 over all segments. The devkit computes in float32, this in float64: the two differ by some 1e-5 relative
 over kilometres, and a segment may end one frame apart where a distance equals a length to seven digits.
@@ -83,11 +83,13 @@ class KittiErrors:
 
     Attributes:
         segments: All segments with their errors.
-        missing: Segments of the ground truth whose end the estimate has no pose for.
+        missing: Segments of the ground truth whose begin or end the estimate has no pose for.
         overall: Means over all segments; its value is 0.
         by_length: One group a length asked for, in the order asked.
         by_speed: One group a speed of the devkit, those without segments left out.
         poses: Associated poses.
+        missing_frames: Frames of the ground truth that the estimate has no pose for; None where the stamps
+            are times, and the ground truth may have more poses than there are frames.
     """
 
     segments: Segments
@@ -96,6 +98,7 @@ class KittiErrors:
     by_length: tuple[SegmentGroup, ...]
     by_speed: tuple[SegmentGroup, ...]
     poses: int
+    missing_frames: int | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON data: means in % and deg/m, counts, groups by length and speed."""
@@ -103,6 +106,7 @@ class KittiErrors:
             **_fields(self.overall),
             "missing": self.missing,
             "poses": self.poses,
+            **({} if self.missing_frames is None else {"missingFrames": self.missing_frames}),
             "byLength": [{"length": group.value, **_fields(group)} for group in self.by_length],
             "bySpeed": [{"speed": group.value, **_fields(group)} for group in self.by_speed],
         }
@@ -129,7 +133,8 @@ def kitti_errors(
         reference: Ground truth.
         estimate: Of the same body; poses without times pair by index.
         lengths: Segment lengths in m, each > 0.
-        step: A segment starts at every so many associated poses.
+        step: A segment starts at every so many frames of the ground truth, where the stamps are frames, and
+            at every so many associated poses otherwise.
         max_difference_seconds: Largest accepted time difference of an associated pair in s.
         offset_seconds: Added to the estimate's stamps for matching only.
         scale: Factor on the estimate's positions: that of a Sim(3) alignment for monocular estimates.
@@ -150,7 +155,8 @@ def kitti_errors(
     numbered = reference.stamped_by != "time" or np.array_equal(reference.stamps, np.arange(len(reference)))
     if frame_seconds is None and numbered:
         frame_seconds = FRAME_SECONDS
-    begin, end, nominal, missing = _ends(reference.distances, pairs.reference, lengths, step)
+    starts = np.arange(0, len(reference), step) if numbered else pairs.reference[::step]
+    begin, end, nominal, missing = _ends(reference.distances, pairs.reference, starts, lengths)
     # The devkit inverts matrices, it doesn't transpose them as rpe_errors does: only orthonormal ones agree.
     truth = reference.select(pairs.reference).orthonormal()
     found = estimate.select(pairs.estimate).orthonormal()
@@ -160,8 +166,8 @@ def kitti_errors(
     if frame_seconds is None:
         duration = truth.stamps[end] - truth.stamps[begin]
     else:
-        frames = truth.stamps if numbered else pairs.reference.astype(np.float64)
-        duration = frame_seconds * (frames[end] - frames[begin] + 1.0)
+        counted = truth.stamps if numbered else pairs.reference.astype(np.float64)
+        duration = frame_seconds * (counted[end] - counted[begin] + 1.0)
     segments = Segments(
         begin,
         end,
@@ -178,6 +184,7 @@ def kitti_errors(
         by_length=tuple(_group(segments, length, segments.lengths == length) for length in lengths),
         by_speed=tuple(group for group in by_speed if group.count),
         poses=len(pairs),
+        missing_frames=len(reference) - len(np.unique(pairs.reference)) if numbered else None,
     )
 
 
@@ -195,19 +202,21 @@ def _check(lengths: tuple[float, ...], step: int, scale: float, frame_seconds: f
 
 
 def _ends(
-    distances: FloatArray, associated: IndexArray, lengths: tuple[float, ...], step: int
+    distances: FloatArray, associated: IndexArray, starts: IndexArray, lengths: tuple[float, ...]
 ) -> tuple[IndexArray, IndexArray, FloatArray, int]:
-    """Begin and end among the associated poses, nominal length, and how many segments have no end."""
-    begin = np.repeat(np.arange(0, len(associated), step), len(lengths))
-    nominal = np.tile(np.array(lengths, dtype=np.float64), len(begin) // len(lengths))
-    goal = distances[associated[begin]] + nominal
+    """Begin and end among the associated poses, nominal length, and how many segments lack one of the two."""
+    start = np.repeat(starts, len(lengths))
+    nominal = np.tile(np.array(lengths, dtype=np.float64), len(starts))
+    goal = distances[start] + nominal
     true_end = np.searchsorted(distances, goal, side="right")
-    end = np.searchsorted(distances[associated], goal, side="right")
     exists = true_end < len(distances)
+    begin = np.minimum(np.searchsorted(associated, start), len(associated) - 1)
+    end = np.searchsorted(distances[associated], goal, side="right")
     clipped = np.minimum(end, len(associated) - 1)
     near = distances[associated[clipped]] <= goal + OVERSHOOT * nominal
     # The devkit takes the first frame beyond the length however far it is; only later ones must be near.
-    found = exists & (end < len(associated)) & (near | (associated[clipped] <= true_end))
+    near |= associated[clipped] <= true_end
+    found = exists & (associated[begin] == start) & (end < len(associated)) & near
     missing = int(np.count_nonzero(exists & ~found))
     return begin[found], end[found], nominal[found], missing
 

@@ -76,6 +76,24 @@ def test_kitti_00(trajectories: Path, lengths: tuple[float, ...]) -> None:
             assert group.rotation_deg_per_m == pytest.approx(np.rad2deg(rows[:, 1].mean()), rel=1e-9)
 
 
+def test_segments_begin_at_frames_of_the_ground_truth(trajectories: Path, tmp_path: Path) -> None:
+    """An estimate with a frame index that lacks the first 25 frames, and 5 in the middle."""
+    truth = read_kitti(trajectories / "KITTI_00_gt.txt")
+    lines = (trajectories / "KITTI_00_ORB.txt").read_text().splitlines()
+    there = [k for k in range(len(lines)) if k >= 25 and not 1000 <= k < 1005]
+    (tmp_path / "est.txt").write_text("".join(f"{k} {lines[k]}\n" for k in there))
+    found = kitti_errors(truth, read_kitti(tmp_path / "est.txt"))
+    rows = devkit(truth, read_kitti(trajectories / "KITTI_00_ORB.txt"), KITTI_LENGTHS)
+    expected = rows[(rows[:, 0] >= 25) & (rows[:, 0] != 1000)]
+    assert found.missing == len(rows) - len(expected) == 4 * 8
+    assert found.missing_frames == 30
+    assert [there[k] for k in found.segments.begin] == expected[:, 0].tolist()
+    # A segment that would end at one of the five ends at the next frame there is.
+    differing = ~np.isclose(found.segments.translation, expected[:, 2], rtol=1e-9)
+    assert np.count_nonzero(differing) <= 8
+    assert found.overall.translation_percent == pytest.approx(100 * expected[:, 2].mean(), rel=1e-3)
+
+
 def test_float32_as_in_the_devkit_differs_little(trajectories: Path) -> None:
     truth = read_kitti(trajectories / "KITTI_00_gt.txt").select(slice(0, 1500))
     estimate = read_kitti(trajectories / "KITTI_00_ORB.txt").select(slice(0, 1500))
