@@ -406,7 +406,7 @@ async def test_a_reconciler_says_when_to_look_again(op: Operator, toy: Toy) -> N
     [
         (ServerFault("500"), (logging.WARNING, 1)),
         (Conflict("changed"), (logging.DEBUG, 1)),
-        (Invalid("refused"), (logging.WARNING, 0)),
+        (Invalid("refused"), (logging.WARNING, 1)),
         (InputError("unknown parameter"), (logging.ERROR, 0)),
         (ZeroDivisionError("oops"), (logging.ERROR, 1)),
     ],
@@ -487,7 +487,8 @@ async def test_an_object_that_cannot_be_written_is_no_further_failure(
     toy.act = failing(Invalid("refused"))
     api.errors = [Conflict("newer"), Forbidden("no right")]
     await look(op, KEY)
-    assert not api.told
+    assert not conditions(api, KEY)
+    assert api.told == [("demo", "Warning", "ReconcileError", "Invalid: refused")]
     await look(op, KEY)
     assert conditions(api, KEY)["ReconcileError"][1] == "Invalid"
     toy.act = None
