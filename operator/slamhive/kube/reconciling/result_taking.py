@@ -11,7 +11,7 @@ import logging
 from typing import TYPE_CHECKING
 
 from slamhive.jobs.lines import Decoder
-from slamhive.kube.api.errors import ApiError, NotFound
+from slamhive.kube.api.errors import Invalid, NotFound
 from slamhive.kube.api.kinds import Key, Kind, Object, annotations_of, key_of
 from slamhive.kube.reconciling.evaluation_status import is_full, is_missing, problem_of, with_problem
 from slamhive.kube.status import condition, display, result_field, status_patch
@@ -39,9 +39,13 @@ async def take_results(cluster: Cluster, group: EvaluationGroup, job: Object, se
     if seen.pod is not None:
         try:
             decoder.add(await cluster.api.logs(group.key.namespace, seen.pod, seen.container))
-        except ApiError as error:
-            if error.retryable:  # it says nothing about the evaluator
+        except NotFound:
+            if await cluster.refresh(Key(Kind.POD, group.key.namespace, seen.pod)) is not None:
                 raise
+            problem = problem or "its pod was deleted"
+        except (
+            Invalid
+        ) as error:  # none of its containers ever ran; other refusals say nothing of the evaluator
             problem = problem or str(error)
     limit = asyncio.Semaphore(_AT_ONCE)
 
