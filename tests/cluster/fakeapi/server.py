@@ -90,6 +90,8 @@ class Server:
             return web.json_response(refusal.status, status=refusal.code)
 
     async def _route(self, request: web.Request) -> web.StreamResponse:
+        if request.path.startswith(_METRICS) and (no := self.refusing("list", "pods.metrics.k8s.io", {})):
+            raise no
         known = self._measured() if request.path.startswith(_METRICS) else _discovered(request.path)
         if known is not None:
             return web.json_response(known)

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rights of the operator that vanish in the middle of a Sweep and come back: nothing is lost by it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import yaml
+from fakeapi.evaluators import measuring
+from fakeapi.refusals import Refusal, forbidden
+from testcluster.lab import manifest, run, status_of, sweep, until
+
+from slamhive.archive import Archive
+from slamhive.kube.api.kinds import Kind
+from slamhive.kube.loop import FAILURES_TOLD
+from slamhive.kube.status import holds
+
+if TYPE_CHECKING:
+    from testcluster.lab import Lab
+
+RENDERED = Path(__file__).parents[2] / "helm" / "golden" / "default.yaml"
+QUICK = {
+    "get pods/log",
+    "create jobs.batch",
+    "patch mappingruns/status.slamhive.io",
+    "watch sweeps.slamhive.io",
+}
+"""One of each sort; the others are as long."""
+RUNS = 6
+
+
+def rights() -> list[Any]:
+    """Return the operator's rights in the chart as it is rendered, as verb and resource."""
+    documents = [one for one in yaml.safe_load_all(RENDERED.read_text()) if one]
+    [role] = [
+        one
+        for one in documents
+        if one["kind"] == "Role" and one["metadata"]["labels"]["app.kubernetes.io/component"] == "operator"
+    ]
+    found = [
+        f"{verb} {resource}.{group}".rstrip(".")
+        for rule in role["rules"]
+        for group in rule["apiGroups"]
+        for resource in rule["resources"]
+        for verb in rule["verbs"]
+    ]
+    return [pytest.param(one, marks=() if one in QUICK else pytest.mark.slow) for one in found]
+
+
+@pytest.mark.parametrize("right", rights())
+async def test_a_right_that_vanishes_for_a_while_costs_no_result(
+    fake_lab: Lab, right: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("queue.FIRST_BACKOFF_SECONDS", "queue.LAST_BACKOFF_SECONDS", "api.watching._FIRST_PAUSE"):
+        monkeypatch.setattr(f"slamhive.kube.{name}", 0.02)
+    verb, resource = right.split()
+    refused = 0
+
+    def refusing(asked: str, of: str, _body: dict[str, Any]) -> Refusal | None:
+        nonlocal refused
+        if (asked, of) != (verb, resource) or refused > FAILURES_TOLD:
+            return None  # a right that nobody asks for is no loss
+        refused += 1
+        return forbidden(of, "x", f'User "operator" cannot {verb} resource "{of}" in API group ""')
+
+    fake_lab.cluster.log = measuring()
+    fake_lab.cluster.usage = {}
+    # Whatever is borne for a time alone is not borne at all here.
+    impatient = {"refusalGraceSeconds": 0, "imagePullGraceSeconds": 0, "relistSeconds": 0.2}
+    often = {"metrics": {"intervalSeconds": 0.1}, "evaluation": {"delaySeconds": 0.1, "batchSize": 2}}
+    with Archive.open(f"sqlite:///{tmp_path / 'archive.sqlite'}") as archive:
+        async with fake_lab.operator(archive, **impatient, **often) as op:
+            fake_lab.apply(sweep(sizes=RUNS, template={"evaluate": True}, retention={"runs": 0}))
+            fake_lab.apply(run(), manifest("Evaluation", "drift", runs={"names": ["one"]}))
+            fake_lab.cluster.refuse(refusing)
+            fake_lab.cluster.end_watches()
+            status = await status_of(op, Kind.SWEEP, "study", lambda found: holds(found, "Complete"))
+            await until(lambda: len(op.cluster.store.of(Kind.MAPPING_RUN, "lab")) == 1, "the others to go")
+            await status_of(op, Kind.EVALUATION, "drift", lambda found: found.get("evaluated") == 1)
+        measured = [bool(record.results) for record in archive.runs(sweep="study")]
+    assert (status["succeeded"], status["evaluated"]) == (RUNS, RUNS)
+    assert measured == [True] * RUNS
