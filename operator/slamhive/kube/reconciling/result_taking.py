@@ -43,9 +43,7 @@ async def take_results(cluster: Cluster, group: EvaluationGroup, job: Object, se
             if await cluster.refresh(Key(Kind.POD, group.key.namespace, seen.pod)) is not None:
                 raise
             problem = problem or "its pod was deleted"
-        except (
-            Invalid
-        ) as error:  # none of its containers ever ran; other refusals say nothing of the evaluator
+        except Invalid as error:  # no container of it ever ran; other refusals say nothing of the evaluator
             problem = problem or str(error)
     limit = asyncio.Semaphore(_AT_ONCE)
 
