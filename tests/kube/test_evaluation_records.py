@@ -15,6 +15,7 @@ from slamhive.jobs.requests import EvaluateRequest, RunItem
 from slamhive.kube.api.errors import Forbidden, Invalid, ServerFault
 from slamhive.kube.api.kinds import Key, Kind, Label
 from slamhive.kube.loop import FAILURES_TOLD
+from slamhive.kube.reconciling import result_taking
 from slamhive.kube.records import NOT_EVALUABLE, record_of
 from slamhive.kube.settings import EvaluationJobs
 from slamhive.kube.status import iso
@@ -190,6 +191,17 @@ async def test_a_run_with_32_results_is_told_and_never_measured(cluster: Cluster
 
 
 NO_RIGHT = 'cannot patch x: mappingruns is forbidden: User "a" cannot patch resource "mappingruns/status"'
+
+
+async def test_a_result_for_which_an_object_has_no_room_is_given_up(
+    cluster: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(result_taking, "LIST_BYTES", 1000)
+    large = {"evaluation": "other", "outcome": "Tracked", "note": "x" * 900}
+    cluster.apply(Kind.MAPPING_RUN, "a", RUN, **finished("a", results=[large]))
+    status, run = await taken(cluster, records({}))
+    assert "with it the run's results have 1030 bytes, at most 1000" in standing(status, "Complete")[2]
+    assert run["results"] == [large]
 
 
 async def test_a_missing_right_is_no_reason_to_give_up(cluster: Cluster) -> None:
