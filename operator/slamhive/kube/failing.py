@@ -52,7 +52,7 @@ async def tell_recovery(cluster: Cluster, key: Key, *, told: bool) -> bool:
             lost and the watch is late, so the object is read anew.
     """
     place, kind = _place(key)
-    if kind == RECONCILE_ERROR and cluster.failing.pop(place, None):
+    if kind == RECONCILE_ERROR and cluster.failing.pop(place, ""):
         _wake_sweep(cluster, place)
     try:
         if told:

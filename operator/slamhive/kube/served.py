@@ -22,7 +22,7 @@ HELP = "bring them to this version: helm upgrade slamhive-crds helm/slamhive-crd
 
 
 async def what_crds_lack(api: Api) -> str | None:
-    """Return what the cluster's CRDs lack of this version's language, as a sentence.
+    """Return a sentence on the fields and words of this version that the cluster's CRDs don't know.
 
     Returns:
         Empty where they lack nothing, as newer ones don't; None where this account may not see it.

@@ -96,8 +96,8 @@ def state_of(run: Mapping[str, Any]) -> PointState:
 _STILL = {"Accepted": False, "Admitted": False, "ReconcileError": True}
 
 
-def standing_still(runs: Mapping[int, Mapping[str, Any]], failing: Mapping[Key, str]) -> str | None:
-    """Return how many runs in flight don't go on, and why the first doesn't; None where all do.
+def standing_still(runs: Mapping[int, dict[str, Any]], failing: Mapping[Key, str]) -> str | None:
+    """Return the number of runs in flight that don't go on, and what keeps the first; None where all do.
 
     Args:
         runs: runs by point.
