@@ -84,3 +84,16 @@ async def test_a_right_that_vanishes_for_a_while_costs_no_result(
         measured = [bool(record.results) for record in archive.runs(sweep="study")]
     assert (status["succeeded"], status["evaluated"]) == (RUNS, RUNS)
     assert measured == [True] * RUNS
+
+
+async def test_a_watch_that_is_refused_is_told_in_a_sentence(
+    fake_lab: Lab, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refusing(verb: str, of: str, _body: dict[str, Any]) -> Refusal | None:
+        return forbidden(of, "x", "no such right") if (verb, of) == ("watch", "pods") else None
+
+    fake_lab.cluster.refuse(refusing)
+    async with fake_lab.operator():
+        await until(
+            lambda: 'cannot watch pods lab: pods "x" is forbidden: no such right' in caplog.text, "it"
+        )
