@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,11 +14,14 @@ from fakeapi.refusals import Refusal, forbidden
 from testcluster.lab import manifest, run, status_of, sweep, until
 
 from slamhive.archive import Archive
-from slamhive.kube.api.kinds import Kind
+from slamhive.kube.api.client import Api
+from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.loop import FAILURES_TOLD
 from slamhive.kube.status import holds
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from testcluster.lab import Lab
 
 RENDERED = Path(__file__).parents[2] / "helm" / "golden" / "default.yaml"
@@ -33,17 +37,22 @@ TIMES = 3 * FAILURES_TOLD
 """Calls that are refused, more than any number of failures that is borne."""
 
 
-def rights() -> list[Any]:
-    """Return the operator's rights in the chart as it is rendered, as verb and resource."""
+def rules() -> list[Any]:
+    """Return the rules of the operator's role in the chart as it is rendered."""
     documents = [one for one in yaml.safe_load_all(RENDERED.read_text()) if one]
     [role] = [
         one
         for one in documents
         if one["kind"] == "Role" and one["metadata"]["labels"]["app.kubernetes.io/component"] == "operator"
     ]
+    return list(role["rules"])
+
+
+def rights() -> list[Any]:
+    """Return the operator's rights there, as verb and resource."""
     found = [
         f"{verb} {resource}.{group}".rstrip(".")
-        for rule in role["rules"]
+        for rule in rules()
         for group in rule["apiGroups"]
         for resource in rule["resources"]
         for verb in rule["verbs"]
@@ -97,3 +106,71 @@ async def test_a_watch_that_is_refused_is_told_in_a_sentence(
         await until(
             lambda: 'cannot watch pods lab: pods "x" is forbidden: no such right' in caplog.text, "it"
         )
+
+
+@pytest.mark.cluster
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize(
+    "right", ["create jobs.batch", "patch mappingruns/status.slamhive.io", "delete jobs.batch"]
+)
+async def test_a_right_that_an_authorizer_takes_away_costs_no_result(
+    make_real_lab: Callable[..., Lab], right: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same by roles of a real API server, with its own words."""
+    monkeypatch.setattr("slamhive.kube.queue.LAST_BACKOFF_SECONDS", 0.2)
+    lab = make_real_lab()
+    verb, resource = right.split()
+    named, _, group = resource.partition(".")
+
+    def bind(lacking: str | None) -> None:
+        verbs = {
+            (part, name): [word for word in rule["verbs"] if (word, name, part) != (lacking, named, group)]
+            for rule in rules()
+            for part in rule["apiGroups"]
+            for name in rule["resources"]
+        }
+        held = [
+            {"apiGroups": [part], "resources": [name], "verbs": words}
+            for (part, name), words in verbs.items()
+            if words
+        ]
+        head = {"apiVersion": "rbac.authorization.k8s.io/v1", "metadata": {"name": "operator"}}
+        account = {"kind": "ServiceAccount", "name": "default", "namespace": lab.namespace}
+        role = {"apiGroup": "rbac.authorization.k8s.io", "kind": "Role", "name": "operator"}
+        lab.apply(
+            head | {"kind": "Role", "rules": held},
+            head | {"kind": "RoleBinding", "roleRef": role, "subjects": [account]},
+        )
+
+    async def logs(api: Api, namespace: str, pod: str, container: str) -> str:
+        return measuring()(await api.get(Key(Kind.POD, namespace, pod)), container)
+
+    monkeypatch.setattr(Api, "logs", logs)
+    bind(None)
+    kubeconfig = yaml.safe_load(lab.cluster.kubeconfig.read_text())
+    token = lab.cluster.kubectl("create", "token", "default", "-n", lab.namespace).strip()
+    kubeconfig["users"] = [one | {"user": {"token": token}} for one in kubeconfig["users"]]
+    (tmp_path / "kubeconfig").write_text(yaml.safe_dump(kubeconfig))
+    held = replace(lab, cluster=replace(lab.cluster, kubeconfig=tmp_path / "kubeconfig"))
+    async with held.operator(refusalGraceSeconds=0, evaluation={"delaySeconds": 0.1, "batchSize": 2}) as op:
+        refused: list[str] = []
+        count = op.cluster.api.count
+
+        def counted(asked: str, of: str, code: str) -> None:
+            if count is not None:
+                count(asked, of, code)
+            # Calls are named after what they are about, rights after what may be done with it.
+            if (asked, of.replace(".slamhive.io/status", "/status.slamhive.io"), code) == (
+                verb,
+                resource,
+                "403",
+            ):
+                refused.append(of)
+
+        op.cluster.api.count = counted
+        bind(verb)
+        lab.apply(sweep(sizes=RUNS, template={"evaluate": True}))
+        await until(lambda: len(refused) > TIMES, "the right to be missed")
+        bind(None)
+        status = await status_of(op, Kind.SWEEP, "study", lambda found: holds(found, "Complete"))
+    assert (status["succeeded"], status["evaluated"]) == (RUNS, RUNS)
