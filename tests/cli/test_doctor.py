@@ -288,6 +288,14 @@ SERVED = {
     "/apis/apps/v1/namespaces/lab/deployments": {"items": [OPERATOR | {"status": {"availableReplicas": 1}}]},
     "/apis/metrics.k8s.io/v1beta1/namespaces/lab/pods": {"items": []},
 }
+OLD_CRDS = {
+    "components": {
+        "schemas": {
+            kind: {"x-kubernetes-group-version-kind": [{"kind": str(kind)}], "properties": {}}
+            for kind in OUR_KINDS
+        }
+    }
+}
 
 
 @pytest.mark.timeout(120)
@@ -296,7 +304,12 @@ async def test_a_cluster_is_looked_at(tmp_path: Path, monkeypatch: pytest.Monkey
     async with serving(SERVED, lambda asked: asked["subresource"] != "exec") as port:
         monkeypatch.setenv("KUBECONFIG", kubeconfig(tmp_path, port))
         rows = {row.check: row for row in await cluster.look()}
+        monkeypatch.setitem(SERVED, "/openapi/v3/apis/slamhive.io/v1alpha1", OLD_CRDS)
+        old = {row.check: row for row in await cluster.look()}["cluster"]
     assert rows["cluster"].found == "context 'here', namespace lab, Kubernetes v1.34.4, with our CRDs"
+    assert old.state is State.LIMITED
+    assert "with our CRDs; the CRDs are older than this version and don't know Algorithm." in old.found
+    assert "helm upgrade slamhive-crds" in str(old.helps)
     assert rows["operator"].state is State.LIMITED
     assert rows["operator"].found == f"version 0.0.1, here is {__version__}"
     assert rows["metrics API"].state is State.THERE

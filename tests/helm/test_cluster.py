@@ -144,12 +144,12 @@ def test_pods_are_admitted_under_the_restricted_standard(
     until(admitted, "pods of operator, dashboard and both collectors", 240)
 
 
-READ, WRITE = ("get", "list", "watch"), ("create", "patch", "update", "delete")
+READ = ("get", "list", "watch")
 CAN = {
     "operator": {
         **dict.fromkeys(KINDS, READ),
-        "mappingruns.slamhive.io": (*READ, *WRITE),
-        **{kind.replace(".", "/status.", 1): ("get", "patch", "update") for kind in KINDS},
+        "mappingruns.slamhive.io": (*READ, "create", "patch", "delete"),
+        **{kind.replace(".", "/status.", 1): ("patch",) for kind in KINDS},
         "jobs.batch": (*READ, "create", "patch", "delete"),
         "pods": READ,
         "pods/log": ("get",),
@@ -209,6 +209,64 @@ def may(cluster: Cluster, tenant: str, account: str, namespace: str) -> set[tupl
         for verb in rule["verbs"]
         if not resource.startswith("selfsubject")
     }
+
+
+JOBS = Path(__file__).parents[1] / "kube" / "golden"
+ODD = {
+    "the account slamhive-runs": [{"serviceAccountName": "slamhive-operator"}, {"serviceAccountName": None}],
+    "and no token": [{"automountServiceAccountToken": True}],
+    "mount the release's volumes": [
+        {"volumes": [{"name": "x", "secret": {"secretName": "another"}}]},
+        {"volumes": [{"name": "x", "projected": {"sources": [{"serviceAccountToken": {"path": "token"}}]}}]},
+        {"volumes": [{"name": "x", "persistentVolumeClaim": {"claimName": "of-others"}}]},
+        {"volumes": [{"name": "x", "configMap": {"name": "of-others"}}]},
+    ],
+    "hold values and fields": [
+        {"env": [{"name": "X", "valueFrom": {"secretKeyRef": {"name": "another", "key": "x"}}}]},
+        {"envFrom": [{"secretRef": {"name": "another"}}]},
+    ],
+    "by imagePullSecrets": [{"imagePullSecrets": [{"name": "another"}]}],
+}
+"""Changes of a pod or its container, by the words with which they are refused."""
+
+
+def test_the_job_policy_leaves_the_operator_its_own_jobs(
+    helm: Any, kinds: Cluster, namespace: str, install: Install
+) -> None:
+    maps = {"catalogue": "sequences", "certificates": "mirror"}
+    install(namespace, jobPolicy=True, imagePullSecrets=["registry"], settings={"preparation": maps})
+    try:
+        own = [yaml.safe_load(path.read_text()) for path in sorted(JOBS.glob("*-job.yaml"))]
+        usual = own[0]
+        until(
+            lambda: "and no token" in answer(kinds, namespace, usual, ODD["and no token"][0]),
+            "the policy to be in force",
+        )
+        for job in own:
+            assert not answer(kinds, namespace, job, {}), job["metadata"]["name"]
+        for told, changes in ODD.items():
+            for change in changes:
+                assert told in answer(kinds, namespace, usual, change), change
+        assert not answer(kinds, namespace, usual, ODD["and no token"][0], account=None)
+    finally:
+        run(helm, kinds, "uninstall", "slamhive", "-n", namespace)
+
+
+def answer(
+    cluster: Cluster, namespace: str, job: Any, change: Any, account: str | None = "slamhive-operator"
+) -> str:
+    """Return the API server's refusal of a changed Job that an account would make; empty for none."""
+    body = yaml.safe_load(yaml.safe_dump(job).replace("claimName: ", "claimName: slamhive-"))
+    pod = body["spec"]["template"]["spec"]
+    pod["serviceAccountName"] = "slamhive-runs"
+    (pod["containers"][0] if {*change} & {"env", "envFrom"} else pod).update(change)
+    for container in (*pod["containers"], *pod.get("initContainers", ())) if "volumes" in change else ():
+        container["volumeMounts"] = []
+    body["metadata"] |= {"namespace": namespace}
+    user = [f"--as=system:serviceaccount:{namespace}:{account}"] if account else []
+    words = ("create", "--dry-run=server", "--validate=false", "-f", "-", *user)
+    done = cluster.run(*words, stdin=yaml.safe_dump(body))
+    return done.stderr if done.returncode else ""
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from slamhive.kube.api.kinds import OUR_KINDS
 
@@ -45,8 +46,8 @@ def test_the_operator_has_what_it_needs(helm: Any) -> None:
     found = rules(helm.objects(), "operator")
     for kind in KINDS:
         assert found[f"{kind}.slamhive.io"] >= READ
-        assert found[f"{kind}/status.slamhive.io"] >= {"patch"}
-    assert found["mappingruns.slamhive.io"] >= {"create", "patch", "delete"}
+        assert found[f"{kind}/status.slamhive.io"] == {"patch"}
+    assert found["mappingruns.slamhive.io"] == READ | {"create", "patch", "delete"}
     assert found["jobs.batch"] == READ | {"create", "patch", "delete"}
     assert found["pods"] == READ
     assert found["pods/log"] == {"get"}
@@ -86,6 +87,33 @@ def test_beyond_the_namespaces_one_right_is_given_to_who_asks_for_it(helm: Any) 
     }
     accounts = [subject["name"] for subject in binding["subjects"]]
     assert accounts == ["slamhive-operator", "slamhive-dashboard"]
+
+
+def test_a_policy_holds_the_operator_to_its_own_jobs_where_that_is_asked_for(helm: Any) -> None:
+    def made(*words: str) -> list[dict[str, Any]]:
+        team = helm.objects("-f", str(VALUES / "team.yaml"), *words)
+        return [one for one in team if one["apiVersion"].startswith("admissionregistration")]
+
+    assert made() == []
+    policy, binding = made("--set", "jobPolicy=true")
+    assert binding["spec"]["policyName"] == policy["metadata"]["name"] == "hive-jobs-lab"
+    assert binding["spec"]["validationActions"] == ["Deny"]
+    [condition] = policy["spec"]["matchConditions"]
+    assert condition["expression"] == "request.userInfo.username == 'system:serviceaccount:lab:hive-operator'"
+    settings = yaml.safe_load(_named(helm, "ConfigMap", "hive-settings")["data"]["operator.yaml"])
+    rules = "".join(rule["expression"] for rule in policy["spec"]["validations"])
+    names = [settings["pods"]["serviceAccountName"], *settings["pods"]["imagePullSecrets"]]
+    names += [volume["claim"] for volume in settings["volumes"].values()]
+    names += [*settings["store"].values()]
+    assert [name for name in names if name not in rules] == []
+    old = ("--set", "jobPolicy=true", "--kube-version", "1.29.0")
+    assert "Kubernetes v1.29.0 has no ValidatingAdmissionPolicy" in helm.text(*old, code=1)
+
+
+def _named(helm: Any, kind: str, name: str) -> dict[str, Any]:
+    objects = helm.objects("-f", str(VALUES / "team.yaml"))
+    [found] = [one for one in objects if (one["kind"], one["metadata"]["name"]) == (kind, name)]
+    return dict(found)
 
 
 @pytest.mark.parametrize("name", ["hive-collector", "hive-offloader"])

@@ -22,7 +22,9 @@ from slamhive.kube.api import errors
 from slamhive.kube.api.client import Api
 from slamhive.kube.api.kinds import Key, Kind, Label, key_of, reference
 from slamhive.kube.api.transport import Request
+from slamhive.kube.served import what_crds_lack
 from slamhive.model.base import GROUP, VERSION
+from slamhive.model.status import STATUSES
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
@@ -583,3 +585,20 @@ async def test_the_server_says_what_it_serves(server: Server) -> None:
     assert not await server.api.served("nobody.example.test", "v1")
     assert (await server.api.server_version()).startswith("v1.")
     assert await server.api.cluster_uid() == await server.api.cluster_uid() is not None
+
+
+async def test_the_crds_know_all_of_this_version_and_older_ones_are_noticed(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def told() -> bool:  # a real server publishes them some seconds after it has taken them
+        return await what_crds_lack(server.api) == ""
+
+    await eventually(told)
+    newer = STATUSES["Sweep"].model_json_schema(by_alias=True)
+    newer["properties"]["phase"] = {"enum": ["Resting"]}
+    newer["properties"]["later"] = {"type": "object", "properties": {"a": {}, "b": {}}}
+    monkeypatch.setattr(STATUSES["Sweep"], "model_json_schema", lambda **_: newer)
+    assert (await what_crds_lack(server.api) or "").startswith(
+        "the CRDs are older than this version and don't know "
+        "Sweep.status.later, Sweep.status.later.a, Sweep.status.later.b and 1 more; bring them"
+    )

@@ -14,6 +14,7 @@ from slamhive.engine import AttemptState, VariantState
 from slamhive.kube.api.kinds import Key, Kind, key_of
 from slamhive.kube.cluster import Cluster
 from slamhive.kube.observing import Attempted
+from slamhive.kube.reconciling import sweep_state
 from slamhive.kube.reconciling.catalogue import Catalogue, parse
 from slamhive.kube.reconciling.reuse import ReusableRuns
 from slamhive.kube.reconciling.run import RunReconciler
@@ -165,6 +166,22 @@ async def test_a_sweep_that_asks_in_vain_is_refused(cluster: Cluster, apply: Cal
         "spec.matrix[1].values[1]: input.frameRate: 15 Hz is asked, slow's lidar has 10 Hz",
     )
     assert not cluster.store.of(Kind.MAPPING_RUN, NAMESPACE)
+
+
+async def test_a_sweep_that_chooses_more_than_an_object_holds_is_refused(
+    cluster: Cluster, apply: Callable[..., Key], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sweep_state, "LIST_BYTES", 10)
+    labelled = hall("slow", 10)
+    labelled["metadata"]["labels"] = {"place": "hall"}
+    apply(Kind.DATASET, labelled)
+    axis = {"path": "dataset", "selector": {"matchLabels": {"place": "hall"}}}
+    spec = {"template": {"spec": {"algorithmRef": {"name": "icp"}}}, "matrix": [axis]}
+    await SweepReconciler(Catalogue())(cluster, key := apply(Kind.SWEEP, manifest("Sweep", "rates", **spec)))
+    sweep = cluster.store.get(key)
+    assert sweep is not None
+    assert accepted(sweep)[0] == "False"
+    assert "its selectors choose have 23 bytes, a Sweep can note 10: divide it" in accepted(sweep)[1]
 
 
 def by_point(cluster: Cluster) -> dict[int, dict[str, Any]]:

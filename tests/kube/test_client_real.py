@@ -7,15 +7,19 @@ import asyncio
 from typing import TYPE_CHECKING, Any
 
 import pytest
+import yaml
 
 from slamhive.kube import cluster, handlers
 from slamhive.kube.api.client import Api
+from slamhive.kube.api.errors import Forbidden
 from slamhive.kube.api.kinds import Key, Kind, Label, key_of, reference
 from slamhive.kube.operator import Operator
+from slamhive.kube.served import what_crds_lack
 from slamhive.kube.settings import Settings
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
+    from pathlib import Path
 
     from testcluster.access import Cluster
 
@@ -63,6 +67,32 @@ async def test_what_kubectl_does_enters_the_store(api: Api, crds: Cluster, names
         watching.cancel()
         await asyncio.wait([watching])
         await op.stop()
+
+
+async def test_an_account_without_rights_is_told_of_them_and_sees_the_crds_schemas(
+    crds: Cluster, namespace: str, tmp_path: Path
+) -> None:
+    kubeconfig = yaml.safe_load(crds.kubeconfig.read_text())
+    token = crds.kubectl("create", "token", "default", "-n", namespace).strip()
+    kubeconfig["users"] = [one | {"user": {"token": token}} for one in kubeconfig["users"]]
+    (tmp_path / "kubeconfig").write_text(yaml.safe_dump(kubeconfig))
+    nobody = await Api.connect(tmp_path / "kubeconfig")
+    try:
+        for asked in (
+            nobody.list(Kind.POD, namespace),
+            nobody.logs(namespace, "x", "y"),
+            nobody.create(Kind.MAPPING_RUN, {"metadata": {"name": "a", "namespace": namespace}}),
+            nobody.patch(Key(Kind.SWEEP, namespace, "a"), {"status": {}}, subresource="status"),
+        ):
+            with pytest.raises(Forbidden) as told:
+                await asked
+            assert told.value.retryable, told.value
+        async with asyncio.timeout(60):  # the server publishes them some seconds after it has taken them
+            while await what_crds_lack(nobody) is None:  # noqa: ASYNC110
+                await asyncio.sleep(0.05)
+        assert await what_crds_lack(nobody) == ""
+    finally:
+        await nobody.close()
 
 
 def suspended_job(run: dict[str, Any]) -> dict[str, Any]:

@@ -59,6 +59,22 @@ def test_a_used_up_quota_is_waited_for() -> None:
     assert error.retryable
 
 
+@pytest.mark.parametrize(
+    ("sentence", "retryable"),
+    [
+        (
+            'pods "x" is forbidden: User "a" cannot get resource "pods/log" in API group ""',
+            True,
+        ),
+        ('forbidden: User "a" cannot get path "/apis"', True),
+        ('pods "x" is forbidden: violates PodSecurity "restricted:latest": hostPath volumes', False),
+        ('admission webhook "v" denied the request: the User cannot have resource "x"', False),
+    ],
+)
+def test_a_right_may_be_given_back_and_a_policy_stays(sentence: str, *, retryable: bool) -> None:
+    assert answer(403, message=sentence).retryable is retryable
+
+
 def test_a_namespace_that_goes_is_known() -> None:
     error = answer(403, message="no", details={"causes": [{"reason": "NamespaceTerminating"}]})
     assert isinstance(error, Forbidden)

@@ -14,6 +14,8 @@ from slamhive.jobs.report import report
 from slamhive.jobs.requests import EvaluateRequest, RunItem
 from slamhive.kube.api.errors import Forbidden, Invalid, ServerFault
 from slamhive.kube.api.kinds import Key, Kind, Label
+from slamhive.kube.loop import FAILURES_TOLD
+from slamhive.kube.reconciling import result_taking
 from slamhive.kube.records import NOT_EVALUABLE, record_of
 from slamhive.kube.settings import EvaluationJobs
 from slamhive.kube.status import iso
@@ -188,26 +190,66 @@ async def test_a_run_with_32_results_is_told_and_never_measured(cluster: Cluster
     assert not [key for key in cluster.objects if key.kind is Kind.JOB]
 
 
-async def test_runs_whose_evaluator_is_refused_for_long_are_given_up(cluster: Cluster) -> None:
+NO_RIGHT = 'cannot patch x: mappingruns is forbidden: User "a" cannot patch resource "mappingruns/status"'
+
+
+async def test_a_result_for_which_an_object_has_no_room_is_given_up(
+    cluster: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(result_taking, "LIST_BYTES", 1000)
+    large = {"evaluation": "other", "outcome": "Tracked", "note": "x" * 900}
+    cluster.apply(Kind.MAPPING_RUN, "a", RUN, **finished("a", results=[large]))
+    status, run = await taken(cluster, records({}))
+    assert "with it the run's results have 1030 bytes, at most 1000" in standing(status, "Complete")[2]
+    assert run["results"] == [large]
+
+
+async def test_a_missing_right_is_no_reason_to_give_up(cluster: Cluster) -> None:
+    """Taken away for the result alone: that it can't be kept could be written."""
+
+    def check(key: Key, body: dict[str, Any]) -> None:
+        if key.name == "a" and "results" in body.get("status", {}):
+            raise Forbidden(NO_RIGHT)
+
+    cluster.check = check
+    ended(cluster, records({}))
+    for _ in range(FAILURES_TOLD):
+        status = await cluster.look(cluster.evaluation)
+    assert standing(status, "ReconcileError")[2].endswith(NO_RIGHT)
+    cluster.check = None
+    status = await cluster.look(cluster.evaluation, 10)
+    assert (status["evaluated"], status["failed"]) == (2, 0)
+
+
+async def test_runs_are_not_given_up_for_an_evaluator_that_is_refused(cluster: Cluster) -> None:
     cluster.refusals[Kind.JOB] = Forbidden("admission webhook denied the request")
     cluster.described()
-    status = await cluster.look(cluster.evaluation)
+    for _ in range(8):
+        status = await cluster.look(cluster.evaluation, GRACE + 1)
     assert standing(status, "Admitted") == ("False", "JobRefused", "admission webhook denied the request")
+    assert standing(status, "ReconcileError")[2].endswith("denied the request")
     assert status["failed"] == 0
-    await cluster.look(cluster.evaluation, GRACE + 1)
-    status = await cluster.look(cluster.evaluation, GRACE)
-    assert status["failed"] == 2
-    assert "a: admission webhook denied the request" in standing(status, "Complete")[2]
+    cluster.refusals.clear()
+    status = await cluster.look(cluster.evaluation)
+    assert standing(status, "Admitted")[0] == "True"
+    assert standing(status, "ReconcileError")[0] == "False"
 
 
-async def test_runs_whose_evaluators_pod_is_refused_are_given_up(cluster: Cluster) -> None:
+async def test_runs_are_not_given_up_for_an_evaluator_whose_pod_is_refused(cluster: Cluster) -> None:
     cluster.described()
     cluster.failed_creates = ["Error creating: pods is forbidden: no such image"]
     for _ in range(8):
-        await cluster.look(cluster.evaluation, GRACE + 1)
-    status = await cluster.look(cluster.evaluation, GRACE)
-    assert "a: its pod is refused: pods is forbidden: no such image" in standing(status, "Complete")[2]
-    assert not [key for key in cluster.objects if key.kind is Kind.JOB]
+        status = await cluster.look(cluster.evaluation, GRACE + 1)
+    told = "the evaluator does not begin: its pod is refused: pods is forbidden: no such image"
+    assert standing(status, "ReconcileError")[2].endswith(told)
+    assert status["failed"] == 0
+    [job] = [key for key in cluster.objects if key.kind is Kind.JOB]
+    # Where another pod would be asked for by now, it is.
+    wanted = EvaluationJobs(delay_seconds=0, cpu="100m")
+    cluster.seen.settings = cluster.seen.settings.replace(evaluation=wanted)
+    before = cluster.objects[job]
+    await cluster.look(cluster.evaluation)
+    assert cluster.objects[job] is not before
 
 
 async def test_a_run_whose_trajectory_can_t_be_read_is_given_up_and_others_go_on(cluster: Cluster) -> None:

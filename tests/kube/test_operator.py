@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.kube import health
+from slamhive.kube import health, operator
 from slamhive.kube.api.errors import Conflict, Forbidden, Invalid, NotFound, ServerFault, StartError
 from slamhive.kube.api.kinds import OUR_KINDS, Key, Kind, Label, key_of
 from slamhive.kube.cluster import Cluster
@@ -23,6 +23,7 @@ from slamhive.model.status import MappingRunStatus
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Awaitable, Callable
+    from pathlib import Path
 
 RUN = Kind.MAPPING_RUN
 KEY = Key(RUN, "lab", "demo")
@@ -53,6 +54,7 @@ class FakeApi:
         self.listed: list[tuple[Kind, str | None]] = []
         self.count: Any = None
         self.told: list[tuple[str, str, str, str]] = []
+        self.known: dict[str, Any] = {}
 
     def have(self, kind: Kind, obj: dict[str, Any]) -> None:
         self.objects[key_of(kind, obj)] = obj
@@ -68,6 +70,9 @@ class FakeApi:
 
     async def served(self, group: str, version: str) -> frozenset[str]:
         return self.plurals
+
+    async def schemas(self, group: str, version: str) -> dict[str, Any]:
+        return self.known
 
     async def list(
         self, kind: Kind, namespace: str, *, labels: str | None, narrow: Callable[[Any], Any]
@@ -406,7 +411,7 @@ async def test_a_reconciler_says_when_to_look_again(op: Operator, toy: Toy) -> N
     [
         (ServerFault("500"), (logging.WARNING, 1)),
         (Conflict("changed"), (logging.DEBUG, 1)),
-        (Invalid("refused"), (logging.WARNING, 0)),
+        (Invalid("refused"), (logging.WARNING, 1)),
         (InputError("unknown parameter"), (logging.ERROR, 0)),
         (ZeroDivisionError("oops"), (logging.ERROR, 1)),
     ],
@@ -487,7 +492,8 @@ async def test_an_object_that_cannot_be_written_is_no_further_failure(
     toy.act = failing(Invalid("refused"))
     api.errors = [Conflict("newer"), Forbidden("no right")]
     await look(op, KEY)
-    assert not api.told
+    assert not conditions(api, KEY)
+    assert api.told == [("demo", "Warning", "ReconcileError", "Invalid: refused")]
     await look(op, KEY)
     assert conditions(api, KEY)["ReconcileError"][1] == "Invalid"
     toy.act = None
@@ -615,3 +621,23 @@ async def test_a_part_that_breaks_is_noticed(op: Operator, monkeypatch: pytest.M
     async with asyncio.timeout(50):
         await op.broken.wait()
     assert op.failed_tasks == ["worker-0"]
+
+
+async def test_older_crds_are_told_once_in_the_log_and_at_the_operators_pod(
+    op: Operator, api: FakeApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: Any
+) -> None:
+    place = tmp_path / "namespace"
+    place.write_text("lab\n")
+    monkeypatch.setattr(operator, "NAMESPACE_OF_POD", place)
+    monkeypatch.setattr(operator, "gethostname", lambda: "operator-x")
+    api.have(Kind.POD, thing("operator-x"))
+    caplog.set_level(logging.INFO, "slamhive.operator")
+    await op._compare_crds()
+    assert caplog.messages.pop() == "all fields and words of this version can't be seen by this account"
+    api.known = {str(kind): {} for kind in OUR_KINDS}
+    await op.start()
+    await op._compare_crds()
+    [warning] = [record for record in caplog.records if record.levelno == logging.WARNING]
+    assert warning.getMessage().startswith("the CRDs are older than this version and don't know Algorithm.")
+    assert api.told == [("operator-x", "Warning", "OldCRDs", warning.getMessage())]
+    assert op.ready

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from testcluster.kept import GRACE, RUN, Cluster, catalogued, standing
 
-from slamhive.kube.api.errors import Forbidden, Invalid
+from slamhive.kube.api.errors import Forbidden, Invalid, ServerFault
 from slamhive.kube.api.kinds import Key, Kind
+from slamhive.kube.loop import FAILURES_TOLD
 
 if TYPE_CHECKING:
     from slamhive.kube.api.errors import ApiError
@@ -160,3 +161,41 @@ async def test_a_sweep_says_why_its_runs_are_refused(cluster: Cluster) -> None:
         "cannot create mappingruns lab/study: policy says no",
     )
     assert cluster.told["study", "CannotCreate"].endswith("policy says no")
+
+
+@pytest.mark.parametrize("error", [Forbidden(WEBHOOK), Invalid("no such field"), ServerFault("down")])
+@pytest.mark.parametrize("refused", ["jobs", "statuses"])
+async def test_a_sweep_counts_and_names_runs_that_stand_still(
+    cluster: Cluster, error: ApiError, refused: str
+) -> None:
+    def check(key: Key, _: dict[str, Any]) -> None:
+        if key.kind is Kind.MAPPING_RUN:
+            raise error
+
+    cluster.refusals[Kind.JOB] = error
+    if refused == "statuses":
+        cluster.refusals[Kind.JOB] = Forbidden(QUOTA)  # which a run's status has to say
+        cluster.check = check
+    names = {"algorithmRef": {"name": "icp"}, "datasetRef": {"name": "hall"}}
+    sweep = cluster.apply(Kind.SWEEP, "study", {"template": {"spec": names}, "repetitions": 2})
+    assert "Blocked" not in str(await cluster.look(sweep))
+    runs = [key for key in cluster.objects if key.kind is Kind.MAPPING_RUN]
+    woken = set()
+    for run in runs * FAILURES_TOLD:
+        await cluster.look(run)
+        woken |= cluster.seen.queue._queued
+    assert sweep in woken
+    status = await cluster.look(sweep, 1)
+    first = runs[0].name
+    held, word, sentence = standing(status, "Blocked")
+    assert (held, word) == ("True", "RunsStandStill")
+    assert sentence.startswith(f"2 of 2 runs in flight don't go on; {first}: ")
+    assert sentence.endswith(str(error))
+    assert cluster.told["study", "RunsStandStill"] == sentence
+    reason = "JobRefused" if refused == "jobs" and not error.retryable else "ReconcileError"
+    assert cluster.told[first, reason].endswith(str(error))
+    cluster.check = None
+    cluster.refusals.clear()
+    for run in runs * 2:
+        await cluster.look(run, 10)
+    assert standing(await cluster.look(sweep, 1), "Blocked")[:2] == ("False", "Free")

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from testcluster.kept import BEGIN, DATASET, READY, RUN, Cluster, catalogued
 
+from slamhive.kube.api.encoding import encode
 from slamhive.kube.api.kinds import Key, Kind, Label
 from slamhive.kube.reconciling import variants
 from slamhive.kube.reconciling.catalogue import parse
@@ -96,6 +97,29 @@ async def test_a_variant_stays_until_its_runs_are_measured(cluster: Cluster, *, 
     await cluster.look(KEY)
     assert ("v" in entries(cluster)) is not measured
     assert "other" not in entries(cluster)
+
+
+@pytest.mark.parametrize("bound", ["LIST_BYTES", "_ENTRIES"])
+async def test_the_least_recently_used_go_where_an_object_has_no_room(
+    cluster: Cluster, bound: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also those of this hour; but none that a run needs, or that is new."""
+    used = {"a": 3000, "b": 2000, "c": 1000, "new": 10}
+    listed = [
+        ENTRY | {"name": name, "changedTime": iso(BEGIN - age), "lastUsedTime": iso(BEGIN - age)}
+        for name, age in used.items()
+    ]
+    cluster.apply(Kind.DATASET, "hall", DATASET, variants=[ENTRY, *listed])
+    cluster.apply(Kind.MAPPING_RUN, "a", RUN | {"evaluate": True}, **FINISHED)
+    await cluster.look(KEY)
+    assert [*entries(cluster)] == ["v", *used]
+    most = {"LIST_BYTES": 3 * len(encode(listed[0])) + 50, "_ENTRIES": 3}[bound]
+    monkeypatch.setattr(variants, bound, most)
+    await cluster.look(KEY)
+    assert [*entries(cluster)] == ["v", "c", "new"]
+    monkeypatch.setattr(variants, bound, 1)
+    await cluster.look(KEY)
+    assert [*entries(cluster)] == ["v", "new"]
 
 
 def failed(cluster: Cluster, changed: dict[str, Any]) -> VariantSeen:

@@ -57,6 +57,7 @@ class Cluster:
         metrics: what Prometheus gets.
         usage: figures of the metrics API.
         refused_pods: why Jobs have no pods.
+        failing: what keeps objects from going on, in a sentence, whether or not it could be written there.
     """
 
     def __init__(self, api: Api, settings: Settings, clock: Callable[[], float] = time.time) -> None:
@@ -69,6 +70,7 @@ class Cluster:
         self.metrics = Metrics(run_name_label=settings.metrics.run_name_label)
         self.usage = MetricsReader(api, self.store, self.metrics, settings.namespaces)
         self.refused_pods = RefusedPods(api, clock)
+        self.failing: dict[Key, str] = {}
         self._creating: list[tuple[Kind, str | None, Object]] = []
         self._podless: dict[str, str] = {}
         self._finding_pods = asyncio.Lock()
@@ -114,6 +116,7 @@ class Cluster:
         key = key_of(kind, obj)
         uid = obj["metadata"].get("uid")
         self.store.remove(kind, key.namespace, key.name, uid)
+        self.failing.pop(key, None)
         if kind is Kind.POD and uid:
             self.usage.forget(uid)
         self._enqueue(routes(kind, obj, self.store, new=True))

@@ -7,7 +7,7 @@ import logging
 from typing import TYPE_CHECKING, Any
 
 from slamhive.kube.api.errors import ApiError
-from slamhive.kube.api.kinds import Key, Kind
+from slamhive.kube.api.kinds import Key, Kind, Label, labels_of
 from slamhive.kube.reports import clean
 from slamhive.kube.routing import OWN_EVALUATIONS
 from slamhive.kube.status import condition, holds, status_patch
@@ -27,10 +27,19 @@ async def tell_failure(cluster: Cluster, key: Key, error: Exception) -> None:
     place, kind = _place(key)
     word = type(error).__name__
     told = condition(kind, True, word, f"{word}: {clean(error) or 'no reason given'}")
-    if await _write(cluster, place, told):
-        body = cluster.store.get(place)
-        if body is not None:
-            await cluster.api.event(place.kind, body, "Warning", kind, told["message"])
+    body = cluster.store.get(place)
+    if body is None:
+        return
+    if kind == RECONCILE_ERROR and cluster.failing.get(place) != told["message"]:
+        cluster.failing[place] = told["message"]
+        _wake_sweep(cluster, place)
+    try:
+        is_news = await _write(cluster, place, told)
+    except ApiError as refused:
+        _log.debug("%s: its condition %s can't be written: %s", place, kind, refused)
+        is_news = True  # the Event is all that can be said
+    if is_news:
+        await cluster.api.event(place.kind, body, "Warning", kind, told["message"])
 
 
 async def tell_recovery(cluster: Cluster, key: Key, *, told: bool) -> bool:
@@ -43,15 +52,17 @@ async def tell_recovery(cluster: Cluster, key: Key, *, told: bool) -> bool:
             lost and the watch is late, so the object is read anew.
     """
     place, kind = _place(key)
-    if told:
-        try:
+    if kind == RECONCILE_ERROR and cluster.failing.pop(place, ""):
+        _wake_sweep(cluster, place)
+    try:
+        if told:
             await cluster.refresh(place)
-        except ApiError as error:
-            _log.debug("%s: can't be read anew: %s", place, error)
-            return False
-    if not holds((cluster.store.get(place) or {}).get("status") or {}, kind):
-        return True
-    return await _write(cluster, place, condition(kind, False, "Recovered"))
+        if not holds((cluster.store.get(place) or {}).get("status") or {}, kind):
+            return True
+        return await _write(cluster, place, condition(kind, False, "Recovered"))
+    except ApiError as error:
+        _log.debug("%s: its condition %s can't be taken back: %s", place, kind, error)
+        return False
 
 
 def _place(key: Key) -> tuple[Key, str]:
@@ -62,8 +73,15 @@ def _place(key: Key) -> tuple[Key, str]:
     return key, RECONCILE_ERROR
 
 
+def _wake_sweep(cluster: Cluster, key: Key) -> None:
+    """Have a run's Sweep looked at, which counts those that fail: the run's status may be refused."""
+    run = cluster.store.get(key) if key.kind is Kind.MAPPING_RUN else None
+    if run is not None and (sweep := labels_of(run).get(Label.SWEEP)):
+        cluster.queue.add(Key(Kind.SWEEP, key.namespace, sweep))
+
+
 async def _write(cluster: Cluster, key: Key, told: dict[str, Any]) -> bool:
-    """Write a condition; returns whether that was news and could be."""
+    """Write a condition; returns whether that was news. Errors as ``Cluster.amend``."""
     body = cluster.store.get(key)
     if body is None:
         return False
@@ -75,8 +93,4 @@ async def _write(cluster: Cluster, key: Key, told: dict[str, Any]) -> bool:
         patch = status_patch(seen, {}, [told], cluster.clock())
         return {"status": patch} if patch else {}
 
-    try:
-        return await cluster.amend(key, body["metadata"]["uid"], change, subresource="status") is not None
-    except ApiError as error:
-        _log.debug("%s: its condition %s can't be written: %s", key, told["type"], error)
-        return False
+    return await cluster.amend(key, body["metadata"]["uid"], change, subresource="status") is not None

@@ -34,6 +34,8 @@ WATCH_SECONDS = 600
 INACTIVE_SECONDS = 90.0
 """Longer than the minute between the server's bookmarks: a watch silent for longer is dead."""
 
+_BACKOFF_SECONDS = (1, 1, 2, 3, 5, 8, 13, *(20,) * 4_000)
+"""Waits between tries of a watch: a day of them."""
 _LOGIN_SECONDS = 600.0
 _IDLE_SECONDS = 0.1
 _EXIT_SECONDS = 0.5
@@ -74,6 +76,8 @@ def settings_for_kopf() -> kopf.OperatorSettings:
     settings.watching.server_timeout = WATCH_SECONDS
     settings.watching.inactivity_timeout = INACTIVE_SECONDS
     settings.watching.chunk_size = PAGE
+    # By itself kopf ends, and the operator with it, after a minute without the server or a right.
+    settings.networking.error_backoffs = _BACKOFF_SECONDS
     # kopf would otherwise look through the cluster, attach its own Events and annotate what it sees.
     settings.scanning.disabled = True
     settings.posting.enabled = False

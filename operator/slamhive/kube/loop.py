@@ -11,7 +11,7 @@ import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 
-from slamhive.kube.api.errors import Conflict, NotFound
+from slamhive.kube.api.errors import ApiError, Conflict, NotFound
 from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.cluster import Cluster
 from slamhive.kube.failing import tell_failure, tell_recovery
@@ -111,8 +111,8 @@ class Loop:
             # Ordinary: someone else wrote or deleted first, and the watch is about to tell.
             _log.debug("%s: %s; again in %.1f s", key, error, self._queue.retry(key))
             return
-        if error.retryable:
-            delay = self._queue.retry(key)
+        if error.retryable or isinstance(error, ApiError):
+            delay = self._queue.retry(key)  # a right may be given back any moment
         else:
             delay = SLOW_RETRY_SECONDS
             self._queue.add(key, delay)

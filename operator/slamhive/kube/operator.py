@@ -9,14 +9,18 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from contextlib import suppress
 from functools import partial
+from socket import gethostname
 from typing import TYPE_CHECKING, Any
 
 from slamhive.kube.api.errors import ApiError, Forbidden, StartError, Unauthorized
-from slamhive.kube.api.kinds import OUR_KINDS, Kind, key_of
+from slamhive.kube.api.kinds import OUR_KINDS, Key, Kind, key_of
+from slamhive.kube.api.transport import NAMESPACE_OF_POD
 from slamhive.kube.cluster import MANAGED
 from slamhive.kube.ending import end_tasks
 from slamhive.kube.loop import Loop
+from slamhive.kube.served import what_crds_lack
 from slamhive.model.base import GROUP, VERSION
 
 if TYPE_CHECKING:
@@ -59,6 +63,7 @@ class Operator:
         self.broken = asyncio.Event()
         self._sleep = sleep
         self._tasks: list[asyncio.Task[None]] = []
+        self._crds: str | None = ""
 
     async def start(self) -> None:
         """Check that the operator can work here, list everything, and begin to work.
@@ -115,6 +120,7 @@ class Operator:
         while True:
             try:
                 await self._check_crds()
+                await self._compare_crds()
                 cluster.identity = await cluster.api.cluster_uid() or cluster.settings.cluster_name or None
                 await self.relist()
             except Forbidden as error:
@@ -140,6 +146,26 @@ class Operator:
                 "first, with `helm install slamhive-crds helm/slamhive-crds` or `kubectl apply -f crds/`"
             )
 
+    async def _compare_crds(self) -> None:
+        """Say in the log and at the operator's pod that CRDs are older than this version; it works on."""
+        try:
+            told = await what_crds_lack(self.cluster.api)
+        except ApiError as error:
+            _log.debug("the schemas of the CRDs can't be read now: %s", error)
+            return
+        if told == self._crds:
+            return
+        self._crds = told
+        if not told:
+            known = "can't be seen by this account" if told is None else "are known to the CRDs now"
+            _log.info("all fields and words of this version %s", known)
+            return
+        _log.warning("%s", told)
+        with suppress(OSError, ApiError):  # outside a pod there is nothing to tell it at
+            pod = Key(Kind.POD, NAMESPACE_OF_POD.read_text(encoding="utf-8").strip(), gethostname())
+            body = await self.cluster.api.get(pod)
+            await self.cluster.api.event(Kind.POD, body, "Warning", "OldCRDs", told)
+
     async def _relist_forever(self) -> None:
         # The second list comes soon: what was deleted between the first one and the watches' beginning is
         # told by nobody.
@@ -148,6 +174,7 @@ class Operator:
             await self._sleep(wait)
             wait = self.cluster.settings.relist_seconds
             try:
+                await self._compare_crds()
                 await self.relist()
             except ApiError as error:
                 _log.warning("listing failed, the watches go on: %s", error)

@@ -22,6 +22,8 @@ KEEP = "x-kubernetes-preserve-unknown-fields"
 """Mark of a value of which the API server keeps every field."""
 MOST_RESULTS = 32
 """Evaluations whose results a MappingRun's status holds."""
+LIST_BYTES = 2**20
+"""Largest list of a status, in bytes of JSON: an object of more than 1.5 MiB is refused by etcd."""
 BEST_LENGTH = 10
 """Runs that a Sweep's status shows as its best."""
 MESSAGE_LENGTH = 4096

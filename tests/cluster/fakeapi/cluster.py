@@ -134,6 +134,10 @@ class FakeCluster:
         """Answer calls with a Refusal where the function returns one for verb, resource and body."""
         self._server.refusing = refusing
 
+    def end_watches(self) -> None:
+        """End all watches that are under way: a server asks for their rights only when they begin."""
+        self._do(self._server.end)
+
     def forget_history(self) -> None:
         """Let all versions so far expire, and the lists that are under way."""
         self._do(self._objects.forget_history)

@@ -90,6 +90,8 @@ class Server:
             return web.json_response(refusal.status, status=refusal.code)
 
     async def _route(self, request: web.Request) -> web.StreamResponse:
+        if request.path.startswith(_METRICS) and (no := self.refusing("list", "pods.metrics.k8s.io", {})):
+            raise no
         known = self._measured() if request.path.startswith(_METRICS) else _discovered(request.path)
         if known is not None:
             return web.json_response(known)
@@ -284,6 +286,9 @@ def _addressed(path: str) -> tuple[Resource, str, str, str]:
 def _discovered(path: str) -> Object | None:
     """Return the server's description of itself under an address; None where objects are meant."""
     groups = {resource.group: resource.version for resource in resources()}
+    if path.startswith("/openapi/v3/apis/"):
+        group, _, version = path.removeprefix("/openapi/v3/apis/").partition("/")
+        return {"components": {"schemas": _schemas(group, version)}}
     if path == "/version":
         return dict(_VERSION)
     if path == "/api":
@@ -297,6 +302,17 @@ def _discovered(path: str) -> Object | None:
             word = f"{group}/{version}" if group else version
             return {"kind": "APIResourceList", "groupVersion": word, "resources": found}
     return None
+
+
+def _schemas(group: str, version: str) -> Object:
+    return {
+        f"{group}.{one.kind}": {
+            **one.schema,
+            "x-kubernetes-group-version-kind": [{"group": group, "version": version, "kind": one.kind}],
+        }
+        for one in resources()
+        if (one.group, one.version) == (group, version) and one.schema is not None
+    }
 
 
 def _group(group: str, version: str) -> Object:

@@ -114,12 +114,25 @@ async def test_without_ground_truth_nothing_is_measured(make_fake_lab: Callable[
     assert condition_of(status, "Evaluated")["message"] == "Dataset 'hall' has no ground truth"
 
 
-async def test_an_evaluator_whose_log_may_not_be_read_is_given_up(fake_lab: Lab) -> None:
-    fake_lab.cluster.refuse(refuses("get", "pods/log", forbidden("pods", "x", "no right to read logs")))
+NO_RIGHT = forbidden("pods", "x", 'User "operator" cannot get resource "pods/log" in API group ""')
+NO_ADDRESS = Refusal(404, "NotFound", "the server could not find the requested resource")
+
+
+@pytest.mark.parametrize("refusal", [NO_RIGHT, NO_ADDRESS, forbidden("pods", "x", "says a policy")])
+async def test_an_evaluator_whose_log_may_not_be_read_is_read_when_it_may(
+    fake_lab: Lab, refusal: Refusal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slamhive.kube.queue.FIRST_BACKOFF_SECONDS", 0.01)
+    fake_lab.cluster.log = measuring()
+    fake_lab.cluster.refuse(refuses("get", "pods/log", refusal))
     async with fake_lab.operator(**SETTINGS) as op:
-        fake_lab.apply(run(evaluate=True))
-        status = await status_of(op, Kind.MAPPING_RUN, "one", is_told)
-    assert "no right to read logs" in condition_of(status, "Evaluated")["message"]
+        fake_lab.apply(sweep(template={"evaluate": True}))
+        status = await status_of(op, Kind.SWEEP, "study", lambda found: holds(found, "EvaluationError"))
+        assert str(refusal) in condition_of(status, "EvaluationError")["message"]
+        assert condition_of(status, "Complete")["status"] == "False"
+        fake_lab.cluster.refuse(lambda *_: None)
+        status = await status_of(op, Kind.SWEEP, "study", lambda found: holds(found, "Complete"))
+    assert (status["succeeded"], status["evaluated"]) == (3, 3)
 
 
 async def test_a_refused_evaluator_is_told_until_it_is_admitted(fake_lab: Lab) -> None:
@@ -137,17 +150,26 @@ async def test_a_refused_evaluator_is_told_until_it_is_admitted(fake_lab: Lab) -
     assert condition_of(status, "Admitted")["status"] == "True"
 
 
-async def test_an_evaluator_that_is_refused_for_long_is_given_up(fake_lab: Lab) -> None:
+async def test_an_evaluator_that_is_refused_for_long_is_waited_for(
+    fake_lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slamhive.kube.queue.FIRST_BACKOFF_SECONDS", 0.01)
+    fake_lab.cluster.log = measuring()
     refusal = forbidden("jobs.batch", "x", "the image is not signed")
     fake_lab.cluster.refuse(refuses("create", "jobs.batch", refusal, role="evaluate"))
     async with fake_lab.operator(refusalGraceSeconds=0, **SETTINGS) as op:
         fake_lab.apply(run(evaluate=True))
-        status = await status_of(op, Kind.MAPPING_RUN, "one", is_told)
-    assert "the image is not signed" in condition_of(status, "Evaluated")["message"]
+        status = await status_of(op, Kind.MAPPING_RUN, "one", lambda found: holds(found, "EvaluationError"))
+        fake_lab.cluster.refuse(lambda *_: None)
+        await status_of(op, Kind.MAPPING_RUN, "one", lambda found: found.get("results"))
+    assert "the image is not signed" in condition_of(status, "EvaluationError")["message"]
 
 
-async def test_an_evaluator_without_a_pod_is_given_up(fake_lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slamhive.kube.reconciling.waiting.AGAIN_SECONDS", 0.3)
+async def test_an_evaluator_without_a_pod_is_waited_for(
+    fake_lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slamhive.kube.queue.FIRST_BACKOFF_SECONDS", 0.01)
+    fake_lab.cluster.log = measuring()
     limits = {"limits": [{"type": "Container", "max": {"cpu": "2"}}]}
     fake_lab.apply(manifest("LimitRange", "small", **limits) | {"apiVersion": "v1"})
     async with fake_lab.operator() as op:
@@ -156,9 +178,11 @@ async def test_an_evaluator_without_a_pod_is_given_up(fake_lab: Lab, monkeypatch
     # By a clock an hour ahead all patience with its Job is at an end.
     greedy = {"evaluation": {"delaySeconds": 0.1, "cpu": "4"}}
     async with fake_lab.operator(clock=lambda: time.time() + 3600, **greedy) as op:
-        status = await status_of(op, Kind.MAPPING_RUN, "one", is_told)
-    message = condition_of(status, "Evaluated")["message"]
+        status = await status_of(op, Kind.MAPPING_RUN, "one", lambda found: holds(found, "EvaluationError"))
+    message = condition_of(status, "EvaluationError")["message"]
     assert "maximum cpu usage per Container is 2, but limit is 4" in message
+    async with fake_lab.operator(**SETTINGS) as op:
+        await status_of(op, Kind.MAPPING_RUN, "one", lambda found: found.get("results"))
 
 
 async def test_an_evaluator_whose_image_cannot_be_had_is_told_until_another_one_can(

@@ -172,6 +172,23 @@ class Api(Transport):
             return frozenset()
         return frozenset(resource["name"] for resource in answer.get("resources") or ())
 
+    async def schemas(self, group: str, version: str) -> dict[str, Object]:
+        """Return the schemas of a group's kinds, by kind; none where the account may not see them.
+
+        Whoever may discover what a server has may read them, as each account may by default.
+        """
+        path = f"/openapi/v3/apis/{group}/{version}"
+        try:
+            answer = await self.json(Request("get", "openapi", f"{group}/{version}", "GET", path), attempts=1)
+        except (Forbidden, NotFound):
+            return {}
+        found = (answer.get("components") or {}).get("schemas") or {}
+        return {
+            named["kind"]: schema
+            for schema in found.values()
+            for named in schema.get("x-kubernetes-group-version-kind") or ()
+        }
+
     async def cluster_uid(self) -> str | None:
         """Return the identity of this cluster among all others; None where the account may not see it.
 

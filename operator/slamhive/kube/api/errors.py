@@ -9,7 +9,7 @@
     ├── Conflict              409 on a change: the object is newer than what the change was based on
     ├── Expired               410: a page of a list, or a version, that the server no longer has
     ├── Invalid               400, 422: the server's own sentences about the fields
-    ├── Forbidden             403: a right is missing, or the quota is used up (``is_quota``: waiting helps)
+    ├── Forbidden             403: a right is missing, the quota is used up (waiting helps), a policy's no
     ├── Unauthorized          401
     ├── TooManyRequests       429, with the wait the server asks for
     └── ServerFault           5xx, and connections that broke
@@ -21,6 +21,7 @@ No other module looks at status codes.
 from __future__ import annotations
 
 import json
+import re
 from typing import TYPE_CHECKING, Any
 
 from slamhive.model.errors import SlamHiveError
@@ -90,7 +91,7 @@ class Unauthorized(ApiError):  # noqa: N818
 
 
 class Forbidden(ApiError):  # noqa: N818
-    """The operator may not do that, or not now.
+    """The operator may not do that, or not now; where a right is missing, that says nothing of the object.
 
     Attributes:
         is_quota: whether a ResourceQuota is used up, so that waiting helps.
@@ -103,7 +104,11 @@ class Forbidden(ApiError):  # noqa: N818
         super().__init__(message, **context)
         self.is_quota = means_quota(message)
         self.is_terminating = is_terminating
-        self.retryable = self.is_quota
+        self.retryable = self.is_quota or _LACKS_RIGHT.search(message) is not None
+
+
+_LACKS_RIGHT = re.compile(r'User ".*" cannot \S+ (resource|path) "')
+"""The words of every authorizer, which the API server makes; an admission's refusal has words of its own."""
 
 
 def means_quota(sentence: str) -> bool:
@@ -116,7 +121,7 @@ def means_quota(sentence: str) -> bool:
 
 
 REFUSALS = (Invalid, Forbidden)
-"""Answers of the API server where trying again need not help, a used-up quota aside."""
+"""Answers of the API server where trying again need not help, a used-up quota and missing rights aside."""
 
 
 class TooManyRequests(ApiError):  # noqa: N818

@@ -41,6 +41,8 @@ CONNECTIONS = 32
 _LONGEST_LINE = 2**21
 
 JSON = "application/json"
+NAMESPACE_OF_POD = Path("/var/run/secrets/kubernetes.io/serviceaccount/namespace")
+"""File in each pod with an account that says in which namespace it is."""
 
 
 @dataclass(frozen=True)

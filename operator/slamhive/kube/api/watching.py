@@ -15,7 +15,7 @@ from urllib.parse import urlencode
 import aiohttp
 
 from slamhive.kube.api.encoding import decode
-from slamhive.kube.api.errors import ApiError
+from slamhive.kube.api.errors import ApiError, from_answer
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
@@ -145,7 +145,8 @@ class Follower:
             if answer.status == _GONE:
                 return
             if answer.status >= 400:
-                raise ValueError(f"HTTP {answer.status} {(await answer.text())[:200]}")
+                what = ("watch", self._kind.resource, self._namespace)
+                raise from_answer(answer.status, await answer.read(), answer.headers, *what)
             async for line in answer.content:
                 if line.strip():
                     yield decode(line)

@@ -25,13 +25,12 @@ from slamhive.kube.reconciling.evaluation_status import evaluation_status, is_mi
 from slamhive.kube.reconciling.restoring import restore_folders
 from slamhive.kube.reconciling.result_taking import (
     RUNS_ANNOTATION,
-    count_failure,
     give_up,
     runs_of,
     take_results,
     unforeseen,
 )
-from slamhive.kube.reconciling.waiting import Patience, lacks_pod, patience, refused_seconds, soonest
+from slamhive.kube.reconciling.waiting import Patience, patience, soonest
 from slamhive.kube.status import condition, holds, moment, status_patch
 from slamhive.model.errors import InputError, SystemFault
 from slamhive.model.sensors import SensorMode
@@ -45,7 +44,7 @@ if TYPE_CHECKING:
     from slamhive.kube.reconciling.catalogue import Catalogue
 
 
-IMAGES_ANNOTATION = "slamhive.io/images"
+POD_ANNOTATION = "slamhive.io/pod"
 _LOOK_SECONDS = 2.0
 _WRITE_SECONDS = 2.0
 
@@ -80,6 +79,7 @@ class Evaluations:
         if group is None:
             del self._memories[key]
             return None
+        memory.refused = None
         busy: dict[str, set[str]] = {}
         delays: list[float | None] = []
         stuck: str | None = None
@@ -102,6 +102,8 @@ class Evaluations:
         if memory.trouble is not None:
             # The Evaluation, Sweep or run says so, until it is over.
             raise SystemFault(f"run folders can't be brought back from object storage: {memory.trouble}")
+        if memory.refused is not None:
+            raise SystemFault(f"the evaluator's Job is refused: {memory.refused}")
         if stuck is not None:
             raise SystemFault(f"the evaluator does not begin: {stuck}")
         return soonest(*delays)
@@ -129,51 +131,35 @@ class Evaluations:
         for run in missing:
             if (problem := restored.refused.get(run["metadata"]["name"])) is not None:
                 await give_up(cluster, group, run, problem)
-        delays = restored.delays
         for batch in list(batches(restored.ready, wanted.batch_size))[: wanted.parallel_jobs - active]:
-            delays.append(await self._try_to_start(cluster, group, [dict(item) for item in batch]))
-        return delays
+            await self._try_to_start(cluster, group, [dict(item) for item in batch])
+        return restored.delays
 
     @staticmethod
-    async def _try_to_start(cluster: Cluster, group: EvaluationGroup, batch: list[Object]) -> float | None:
-        """Start a batch; where its Job can't be had for long, its runs are given up."""
-        memory = group.memory
+    async def _try_to_start(cluster: Cluster, group: EvaluationGroup, batch: list[Object]) -> None:
+        """Start a batch; runs of which no Job can be built are given up, those whose Job is refused wait."""
         try:
             await _start(cluster, group, batch)
         except InputError as error:
-            problem = str(error)
+            names = {item["name"] for item in batch}
+            for run in group.runs:
+                if run["metadata"]["name"] in names:
+                    await give_up(cluster, group, run, str(error))
         except REFUSALS as error:
             if error.retryable:
                 raise
-            problem = str(error)
-            begun = memory.refused[0] if memory.refused else cluster.clock()
-            memory.refused = begun, problem
-            again = refused_seconds(cluster, begun)
-            if again is not None:
-                return again
-        else:
-            memory.refused = None
-            return None
-        names = {item["name"] for item in batch}
-        for run in group.runs:
-            if run["metadata"]["name"] in names:
-                await give_up(cluster, group, run, problem)
-        return None
+            group.memory.refused = str(error)
 
     @staticmethod
     async def _wait(
         cluster: Cluster, group: EvaluationGroup, job: Object, seen: Waiting | None
     ) -> Patience | None:
         """Return the time that a Job may still wait; None: it goes, and makes room for another."""
-        # A pod that does not begin is no run's fault, and no run is given up for it: the kubelet goes on
-        # trying. Where operator or Evaluation no longer name its image, there is another Job with today's.
-        has_pod = seen is not None and not lacks_pod(seen)
-        images = annotations_of(job).get(IMAGES_ANNOTATION)
-        if not has_pod or images in {None, _images(cluster, group)}:
-            waits = await patience(cluster, job, seen)
-            if waits.end is None or has_pod:
-                return waits
-            await count_failure(cluster, group, job, waits.end.message or "")
+        # A pod that does not begin is no run's fault, and no run is given up for it: the cluster goes on
+        # trying. Where operator or Evaluation ask for another one by now, there is another Job.
+        asked = annotations_of(job).get(POD_ANNOTATION)
+        if seen is None or asked in {None, _asked(cluster, group)}:
+            return await patience(cluster, job, seen)
         await cluster.delete(key_of(Kind.JOB, job))
         return None
 
@@ -269,7 +255,7 @@ async def _start(cluster: Cluster, group: EvaluationGroup, batch: list[Object]) 
         evaluator=group.evaluator,
         notes={
             RUNS_ANNOTATION: ",".join(run["name"] for run in batch),
-            IMAGES_ANNOTATION: _images(cluster, group),
+            POD_ANNOTATION: _asked(cluster, group),
         },
     )
     try:
@@ -279,16 +265,15 @@ async def _start(cluster: Cluster, group: EvaluationGroup, batch: list[Object]) 
 
 
 def _admitted(group: EvaluationGroup, body: Object) -> list[Object]:
-    refused = group.memory.refused
-    if refused is not None:
-        return [condition("Admitted", False, "JobRefused", refused[1])]
+    if group.memory.refused is not None:
+        return [condition("Admitted", False, "JobRefused", group.memory.refused)]
     return [condition("Admitted", True, "Admitted")] if holds(body["status"], "Admitted") is False else []
 
 
-def _images(cluster: Cluster, group: EvaluationGroup) -> str:
-    """Return the images of a Job that is made now, as they stand in its annotation."""
-    own = group.evaluator.image if group.evaluator else ""
-    return " ".join(filter(None, (cluster.settings.measuring_image, own)))
+def _asked(cluster: Cluster, group: EvaluationGroup) -> str:
+    """Return the images, CPU and memory of a Job that is made now, as they stand in its annotation."""
+    own, wanted = group.evaluator.image if group.evaluator else "", cluster.settings.evaluation
+    return " ".join(filter(None, (cluster.settings.measuring_image, own, wanted.cpu, wanted.memory)))
 
 
 _IDENTITY = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]

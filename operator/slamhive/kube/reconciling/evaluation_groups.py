@@ -39,7 +39,7 @@ class GroupMemory:
     Attributes:
         failures: how many evaluators failed in a row.
         written_at: when its Evaluation's status was last written, s since 1970.
-        refused: since when its Job is refused, s since 1970, and the sentence.
+        refused: why its Job is refused; None where it isn't.
         restored: folders that were brought back to the volume.
         trouble: why folders can't be had at present; None where nothing is in the way.
         restore_at: when to ask for folders again, s since 1970.
@@ -47,7 +47,7 @@ class GroupMemory:
 
     failures: int = 0
     written_at: float = 0.0
-    refused: tuple[float, str] | None = None
+    refused: str | None = None
     restored: set[str] = field(default_factory=set)
     trouble: str | None = None
     restore_at: float = 0.0

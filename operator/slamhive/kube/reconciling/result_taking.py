@@ -11,14 +11,15 @@ import logging
 from typing import TYPE_CHECKING
 
 from slamhive.jobs.lines import Decoder
-from slamhive.kube.api.errors import ApiError, NotFound
+from slamhive.kube.api.encoding import encode
+from slamhive.kube.api.errors import Invalid, NotFound
 from slamhive.kube.api.kinds import Key, Kind, Object, annotations_of, key_of
 from slamhive.kube.reconciling.evaluation_status import is_full, is_missing, problem_of, with_problem
 from slamhive.kube.status import condition, display, result_field, status_patch
 from slamhive.model.errors import SlamHiveError
 from slamhive.model.reported import problem_of_values
 from slamhive.model.results import Result
-from slamhive.model.status import MOST_RESULTS, MappingRunStatus
+from slamhive.model.status import LIST_BYTES, MOST_RESULTS, MappingRunStatus
 
 if TYPE_CHECKING:
     from slamhive.kube.cluster import Cluster
@@ -39,9 +40,11 @@ async def take_results(cluster: Cluster, group: EvaluationGroup, job: Object, se
     if seen.pod is not None:
         try:
             decoder.add(await cluster.api.logs(group.key.namespace, seen.pod, seen.container))
-        except ApiError as error:
-            if error.retryable:  # it says nothing about the evaluator
+        except NotFound:
+            if await cluster.refresh(Key(Kind.POD, group.key.namespace, seen.pod)) is not None:
                 raise
+            problem = problem or "its pod was deleted"
+        except Invalid as error:  # no container of it ever ran; other refusals say nothing of the evaluator
             problem = problem or str(error)
     limit = asyncio.Semaphore(_AT_ONCE)
 
@@ -120,6 +123,9 @@ async def _take(cluster: Cluster, group: EvaluationGroup, record: Object) -> Non
     problem = problem_of_values(result.values)
     if problem is None and is_full(run, result.evaluation):
         problem = f"the run has results of {MOST_RESULTS} evaluations, the most that are kept"
+    others = [item for item in run["status"].get("results") or () if item["evaluation"] != result.evaluation]
+    if problem is None and (size := len(encode([*others, result_field(result)]))) > LIST_BYTES:
+        problem = f"with it the run's results have {size} bytes, at most {LIST_BYTES} are kept"
     if problem is not None:
         await give_up(cluster, group, run, f"its result can't be kept: {problem}"[:1000])
         return

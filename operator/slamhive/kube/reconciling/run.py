@@ -181,7 +181,8 @@ class RunReconciler:
             await self._recorder.refuse(cluster, facts.body, state, Reason.INVALID_PARAMETERS, str(error))
             return None
         except REFUSALS as error:
-            if not starts and not any(isinstance(action, Prepare) for action in decision.actions):
+            prepares = any(isinstance(action, Prepare) for action in decision.actions)
+            if error.retryable or not (starts or prepares):
                 raise
             return await self._denied(cluster, facts, state, error)
         if waits.end is not None and facts.job is not None:

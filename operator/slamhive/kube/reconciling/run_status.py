@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive import __version__
 from slamhive.engine import taken_over
+from slamhive.kube.api.encoding import encode
 from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.reconciling.sweep_runs import asked_of
 from slamhive.kube.status import display, iso, result_field
 from slamhive.model.results import Prepared, Provenance, TrajectoryInfo, Usage
 from slamhive.model.sensors import SensorMode
-from slamhive.model.status import MOST_RESULTS, MappingRunStatus, ResultEntry
+from slamhive.model.status import LIST_BYTES, MOST_RESULTS, MappingRunStatus, ResultEntry
 from slamhive.plan import image_digest, recording_fields
 
 if TYPE_CHECKING:
@@ -161,6 +162,8 @@ def reused_fields(equal: RunRecord, facts: RunFacts, processors: Collection[str]
     taken = equal.replace(**taken_over(equal, _recording(facts), processors))
     # An archive holds a run's results of any number of evaluations.
     results = [result_field(result) for result in equal.results[:MOST_RESULTS]]
+    while len(encode(results)) > LIST_BYTES:
+        results.pop()
     return MappingRunStatus(
         usage=taken.usage,
         frames=taken.frames,

@@ -35,6 +35,7 @@ from slamhive.kube.reconciling.sweep_runs import (
     point_of,
     run_body,
     slots_used,
+    standing_still,
     state_of,
 )
 from slamhive.kube.reconciling.sweep_state import SweepMemory, remember
@@ -252,20 +253,25 @@ class SweepReconciler:
         )
         decision = decide_sweep(sweep.spec, observed, now)
         memory.cursor = decision.cursor
-        blocked: str | None = None
+        unmade: str | None = None
         for action in decision.actions:
             match action:
                 case StartPoints() if self._is_held_back(seen, observed.parallelism):
                     pass
                 case StartPoints(indices):
-                    blocked = self._backlog(cluster, seen, observed.parallelism)
-                    blocked = blocked or await self._start(cluster, seen, indices, now)
+                    unmade = self._backlog(cluster, seen, observed.parallelism)
+                    unmade = unmade or await self._start(cluster, seen, indices, now)
                 case StopPoints(indices):
                     await self._cancel(cluster, [seen.runs[index] for index in indices if index in seen.runs])
-        delays = [_BLOCKED_SECONDS] if blocked else []
+        delays = [_BLOCKED_SECONDS] if unmade else []
+        still = standing_still(seen.runs, cluster.failing)
+        blocked = "\n".join(filter(None, (unmade, still)))
+        word = "CannotCreate" if unmade else "RunsStandStill" if still else "Free"
         if sweep.spec.budget.wall_time is not None and decision.verdict is Verdict.RUNNING:
             delays.append(_budget_left(sweep, memory, now))
-        delays += await self._write_status(cluster, seen, decision, blocked, now)
+        delays += await self._write_status(
+            cluster, seen, decision, condition("Blocked", bool(blocked), word, blocked), now
+        )
         if self._archive is not None and self._retirement is not None:
             delays += await self._retirement.retire(
                 cluster, seen.key, sweep, len(memory.states), seen.settled
@@ -344,7 +350,7 @@ class SweepReconciler:
                 await cluster.patch(key_of(Kind.MAPPING_RUN, run), {"spec": {"cancel": True}})
 
     async def _write_status(
-        self, cluster: Cluster, seen: _SweepPicture, decision: SweepDecision, blocked: str | None, now: float
+        self, cluster: Cluster, seen: _SweepPicture, decision: SweepDecision, blocked: Object, now: float
     ) -> list[float]:
         """Write the status if it changed and the last write is long enough ago; returns when to come back."""
         body, memory = seen.body, seen.memory
@@ -370,8 +376,8 @@ class SweepReconciler:
         memory.points = status.points
         answer = await cluster.write_status(Kind.SWEEP, body, status, conditions) or body
         memory.written_at = now
-        if blocked and not holds(body["status"], "Blocked"):
-            await cluster.api.event(Kind.SWEEP, answer, "Warning", "CannotCreate", blocked)
+        if blocked["status"] == "True" and not holds(body["status"], "Blocked"):
+            await cluster.api.event(Kind.SWEEP, answer, "Warning", blocked["reason"], blocked["message"])
         await self._announce_phase(cluster, body, answer)
         return []
 
@@ -467,7 +473,7 @@ def _figures(memory: SweepMemory, tally: SweepTally) -> SweepStatus:
 
 
 def _standing(
-    cluster: Cluster, seen: _SweepPicture, decision: SweepDecision, settled: bool, blocked: str | None
+    cluster: Cluster, seen: _SweepPicture, decision: SweepDecision, settled: bool, blocked: Object
 ) -> tuple[str, list[Object]]:
     """Return the standing of a Sweep: its phase, for printing, and its conditions."""
     verdict = decision.verdict
@@ -480,10 +486,8 @@ def _standing(
             "Suspended", verdict is Verdict.SUSPENDED, "Suspended" if seen.sweep.spec.suspend else "Active"
         ),
     ]
-    if blocked or holds(seen.body["status"], "Blocked"):
-        fresh.append(
-            condition("Blocked", bool(blocked), "CannotCreate" if blocked else "Free", blocked or "")
-        )
+    if blocked["status"] == "True" or holds(seen.body["status"], "Blocked"):
+        fresh.append(blocked)
     available = cluster.usage.available
     if available is not None and (not available or holds(seen.body["status"], "LiveUsage") is False):
         reason = "MetricsAvailable" if available else "MetricsUnavailable"

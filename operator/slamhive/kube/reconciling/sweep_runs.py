@@ -13,7 +13,7 @@ import numpy as np
 
 from slamhive.contract.settled import FILES, is_settled
 from slamhive.engine import PointState
-from slamhive.kube.api.kinds import MANAGER, Kind, Label, annotations_of, labels_of, reference
+from slamhive.kube.api.kinds import MANAGER, Kind, Label, annotations_of, key_of, labels_of, reference
 from slamhive.kube.status import phase_of, rmse_of
 from slamhive.model.results import Outcome, Phase
 from slamhive.model.status import BEST_LENGTH, BestRun
@@ -21,6 +21,7 @@ from slamhive.model.status import BEST_LENGTH, BestRun
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from slamhive.kube.api.kinds import Key
     from slamhive.plan import Point
 
 ASKED = "slamhive.io/asked"
@@ -90,6 +91,33 @@ def state_of(run: Mapping[str, Any]) -> PointState:
     if phase is Phase.SUCCEEDED:
         return PointState.SUCCEEDED
     return PointState.FAILED if phase.is_finished else PointState.ACTIVE
+
+
+_STILL = {"Accepted": False, "Admitted": False, "ReconcileError": True}
+
+
+def standing_still(runs: Mapping[int, dict[str, Any]], failing: Mapping[Key, str]) -> str | None:
+    """Return the number of runs in flight that don't go on, and what keeps the first; None where all do.
+
+    Args:
+        runs: runs by point.
+        failing: what keeps objects from going on, also where their statuses can't say it.
+    """
+    active = [run for _, run in sorted(runs.items()) if state_of(run) is PointState.ACTIVE]
+    told = ((run, failing.get(key_of(Kind.MAPPING_RUN, run)) or _why_still(run)) for run in active)
+    still = [(run["metadata"]["name"], why) for run, why in told if why]
+    if not still:
+        return None
+    name, why = still[0]
+    return f"{len(still)} of {len(active)} runs in flight don't go on; {name}: {why}"
+
+
+def _why_still(run: Mapping[str, Any]) -> str | None:
+    status = run.get("status") or {}
+    for item in status.get("conditions") or ():
+        if item["type"] in _STILL and item["status"] == str(_STILL[item["type"]]):
+            return str(item.get("message") or item["reason"])
+    return None
 
 
 def slots_used(runs: Iterable[Mapping[str, Any]]) -> set[int]:

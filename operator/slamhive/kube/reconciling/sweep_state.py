@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING
 
 from slamhive.archive import SweepRecord
 from slamhive.engine import PointState
+from slamhive.kube.api.encoding import encode
 from slamhive.kube.reconciling.archiving import in_thread
 from slamhive.kube.reconciling.sweep_runs import Finished, SweepTally, decode_points
 from slamhive.kube.status import moment
 from slamhive.model.errors import InputError
 from slamhive.model.results import Phase
-from slamhive.model.status import AxisSelection
+from slamhive.model.status import LIST_BYTES, AxisSelection
 from slamhive.plan import FixedCatalog, Plan, plan_problems
 from slamhive.plan.catalog import select
 
@@ -120,6 +121,11 @@ async def remember(
         ArchiveAway: the archive does not answer.
     """
     selected = choose(sweep, catalog, status)
+    if (size := len(encode([item.as_json() for item in selected]))) > LIST_BYTES:
+        raise InputError(
+            f"spec.matrix: the names that its selectors choose have {size} bytes, a Sweep can note "
+            f"{LIST_BYTES}: divide it"
+        )
 
     def lay_out() -> tuple[Plan, list[int], str]:
         plan = Plan(fixed(sweep, selected), catalog, strict=True)

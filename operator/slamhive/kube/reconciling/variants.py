@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.contract.settled import is_settled
 from slamhive.engine import VariantState
+from slamhive.kube.api.encoding import encode
 from slamhive.kube.api.errors import AlreadyExists
 from slamhive.kube.api.kinds import Key, Kind, Label, Role, key_of, labels_of, owner_uids, owners_of
 from slamhive.kube.builders import variant_job, variant_name
@@ -25,7 +26,7 @@ from slamhive.model.base import quantity
 from slamhive.model.results import Reason
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import SensorMode
-from slamhive.model.status import MESSAGE_LENGTH, DatasetStatus, VariantEntry, VariantPhase
+from slamhive.model.status import LIST_BYTES, MESSAGE_LENGTH, DatasetStatus, VariantEntry, VariantPhase
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from slamhive.model.dataset import Dataset
 
 _TOUCH_SECONDS = 3600.0
+_NEW_SECONDS = 60.0
 _PENDING_SECONDS = 5.0
 _ENTRIES = 1000
 
@@ -309,14 +311,20 @@ def _within(cluster: Cluster, namespace: str, known: dict[str, VariantEntry]) ->
         if not is_settled(run)
     }
     kept = dict(known)
+    sizes = {name: len(encode(entry.as_json())) for name, entry in known.items()}
+    size = sum(sizes.values())
     for entry in sorted(known.values(), key=lambda item: item.last_used_time or item.changed_time or ""):
-        if total <= limit and len(kept) <= _ENTRIES:
+        # Of more the API server refuses the whole status.
+        is_full = len(kept) > _ENTRIES or size > LIST_BYTES
+        if total <= limit and not is_full:
             break
         ready_unused = entry.phase is not VariantPhase.PREPARING and entry.name not in used
-        # Use is noted once an hour at most, so a new entry may look unused although runs read it.
-        recent = cluster.clock() - (moment(entry.changed_time) or 0.0) < _TOUCH_SECONDS
-        if ready_unused and not recent:
+        # Use is noted once an hour at most, so a new entry may look unused although runs read it; where there
+        # is no room for an hour's entries, those of a minute stay.
+        recent = cluster.clock() - (moment(entry.changed_time) or 0.0)
+        if ready_unused and recent >= (_NEW_SECONDS if is_full else _TOUCH_SECONDS):
             total -= entry.size_bytes or 0
+            size -= sizes[entry.name]
             # Only the entry goes here. The collector removes the folder when no Dataset names it any more.
             del kept[entry.name]
     return kept

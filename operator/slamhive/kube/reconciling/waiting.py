@@ -8,6 +8,8 @@ What keeps a pod from running is borne alike by all of them:
   whose name is none, not at all;
 - a full cluster, a used-up quota, a queue, or a pod that nobody says anything of, without end.
 
+No run is given up for an evaluator that does not begin, however long: that is said until it does.
+
 Only when it is said differs. A run says it at once, in its own condition and without an Event: who looks at
 it wants to know. Of the others it is told elsewhere, as an error of the Sweep or Evaluation that they work
 for and of all runs of a Dataset; so a full cluster, which passes as a matter of course, is given a minute.
@@ -19,7 +21,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slamhive.engine import AttemptEnd
-from slamhive.kube.api.errors import ApiError, means_quota
+from slamhive.kube.api.errors import REFUSALS, ApiError, means_quota
 from slamhive.kube.observing import NO_POD
 from slamhive.kube.pods import Waiting
 from slamhive.kube.reports import clean
@@ -97,7 +99,7 @@ async def _explained(cluster: Cluster, job: dict[str, Any], waiting: Waiting) ->
     try:
         message = await cluster.refused_pods.message(metadata["namespace"], metadata["uid"])
     except ApiError as error:
-        if error.retryable:
+        if not isinstance(error, REFUSALS):
             raise
         message = None  # without the right to read Events the reason stays unknown
     message = clean((message or "").removeprefix("Error creating: "))

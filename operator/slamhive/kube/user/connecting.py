@@ -14,14 +14,13 @@ from kubernetes.aio.config import ConfigException, list_kube_config_contexts
 
 from slamhive.kube.api.errors import Forbidden, ServerFault, Unauthorized
 from slamhive.kube.api.kinds import OUR_KINDS, Key, Kind
+from slamhive.kube.api.transport import NAMESPACE_OF_POD
 from slamhive.kube.user.api import UserApi
 from slamhive.model.base import GROUP, VERSION
 from slamhive.model.errors import SlamHiveError, UnknownNameError
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
-
-_NAMESPACE_OF_POD = Path("/var/run/secrets/kubernetes.io/serviceaccount/namespace")
 
 
 class ClusterError(SlamHiveError):
@@ -81,8 +80,8 @@ def find_target(context: str | None, namespace: str | None) -> Target:
     files = os.environ.get("KUBECONFIG") or str(Path("~/.kube/config").expanduser())
     if not any(Path(file).is_file() for file in files.split(os.pathsep)):
         # In a pod without a kubeconfig the command works with the pod's own account, as kubectl does.
-        if _NAMESPACE_OF_POD.is_file() and context is None:
-            return Target(None, None, namespace or _NAMESPACE_OF_POD.read_text(encoding="utf-8").strip())
+        if NAMESPACE_OF_POD.is_file() and context is None:
+            return Target(None, None, namespace or NAMESPACE_OF_POD.read_text(encoding="utf-8").strip())
         raise ClusterError(f"no cluster is known: there is no file {files}; set KUBECONFIG")
     contexts, current = _contexts(files)
     chosen = context or (current or {}).get("name")

@@ -10,6 +10,7 @@ from slamhive import __version__
 from slamhive.kube.api.errors import ApiError, Forbidden, NotFound
 from slamhive.kube.api.kinds import Kind
 from slamhive.kube.api.transport import Request
+from slamhive.kube.served import what_crds_lack
 from slamhive.kube.user.connecting import connected, find_target
 from slamhive.kube.user.together import together
 from slamhive.model.errors import SlamHiveError
@@ -65,7 +66,11 @@ async def look(context: str | None = None, namespace: str | None = None) -> list
 
 
 async def _version(cluster: ConnectedCluster, named: str) -> ReadinessRow:
-    return there("cluster", f"{named}, Kubernetes {await cluster.api.server_version()}, with our CRDs")
+    told = f"{named}, Kubernetes {await cluster.api.server_version()}, with our CRDs"
+    lacking, _, helps = (await what_crds_lack(cluster.api) or "").partition("; ")
+    if lacking:
+        return limited("cluster", f"{told}; {lacking}", "what they don't know is refused or lost", helps)
+    return there("cluster", told)
 
 
 async def _operator(cluster: ConnectedCluster) -> ReadinessRow:
