@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is wrong with a pair of trajectories, found by trying what usually is.
+"""Faults of a pair of trajectories, found by trying the usual ones.
 
 Each fault (a clock, a convention, a turn or lever arm between the frames, a scale) is undone by itself, and
 the pair is laid onto one another anew. The one that helps most is kept, and the others are tried on what is
@@ -204,7 +204,7 @@ class _Pair:
         self._gap = max(association.DEFAULT_GAP_SECONDS, 3.0 * max(spacing, default=0.0))
 
     def fit(self, reading: _Reading, half: int | None = None) -> Fit | None:
-        """Return what is left of the pair, or a half of it; None where too few poses belong together."""
+        """Lay the pair, or a half of it, onto one another; None where too few poses belong together."""
         matched = self._matched(reading, half)
         if matched is None:
             return None
@@ -391,7 +391,7 @@ def _rms(vectors: FloatArray) -> float:
 
 
 def _gains(before: Fit, after: Fit) -> tuple[float, ...]:
-    """Return how many times better positions and steps fit, and rotations where there are some."""
+    """Return the factors by which positions and steps fit better, and rotations where there are some."""
     gains: tuple[float, ...] = (before.position / after.position, before.step / after.step)
     if before.rotation_rad and after.rotation_rad:
         unknown = after.alignment_rad

@@ -37,7 +37,7 @@ def truth() -> Trajectory:
 
 
 def estimate(drift: float = 0.0) -> Trajectory:
-    """What a good system makes of it, in a world of its own: 1 cm and 0.3° of noise, and a drift in m."""
+    """A good system's estimate of it, in a world of its own: 1 cm and 0.3° of noise, and a drift in m."""
     random = np.random.default_rng(6)
     found = truth().select(slice(1, None, 3))
     noise = random.normal(0.0, 0.01, (len(found), 3))
@@ -120,7 +120,7 @@ def test_two_faults_are_undone_one_after_the_other() -> None:
 
 
 def test_the_flags_do_what_they_say(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """What `explain` names for a turned frame with an arm, `ape` takes, and hints at by itself."""
+    """A turned frame with an arm: `ape` takes the flag that `explain` names, and hints at it by itself."""
     gt, est, file = (tmp_path / name for name in ("gt.txt", "est.txt", "T.txt"))
     write_tum(gt, truth())
     write_tum(est, estimate().moved(frame((np.pi, 0, 0), (0.3, 0.0, 0.2))))
