@@ -20,7 +20,7 @@ from slamhive.bridges.targets import BridgeTarget
 from slamhive.cli.forgetting import prune
 from slamhive.cli.onerun import show_run
 from slamhive.cli.parts.choosing import Also, EvaluationName, Output, Superseded, Where
-from slamhive.cli.parts.console import out, plural, remark
+from slamhive.cli.parts.console import listing, out, plural, remark
 from slamhive.cli.parts.tables import PrintFormat, show, write_json, write_markdown
 from slamhive.cli.parts.waiting import Work
 from slamhive.contract.lines import printable
@@ -298,10 +298,13 @@ def _hand_over(to: BridgeTarget, output: Path | None, selection: Selection, unus
         done = lambda count: work.count(count, total)  # noqa: E731
         if total:
             with Here.open(home.archive_url, home.path) as here:
-                new, same = export(chosen.frame, to, output, here, done)
+                new, same, renamed = export(chosen.frame, to, output, here, done)
         else:
-            new = same = 0
+            new, same, renamed = 0, 0, {}
     out.print(f"{output}: {plural(new, 'run')} written, {same} there already", soft_wrap=True, markup=False)
+    if renamed:
+        names = [f"{new_name} for {name}" for name, new_name in renamed.items()]
+        remark(f"{to} takes no such names, which are in tags: {listing(names)}")
     _remark(chosen)
     if total:
         out.print(f"Next:  {next_step(to, output)}", soft_wrap=True, markup=False)
