@@ -50,7 +50,7 @@ COLUMNS: dict[str, list[Schema]] = {
     "Sweep": [
         _column("Phase", ".status.phase"),
         _column("Done", ".status.progress"),
-        _column("Running", ".status.running", "integer"),
+        _column("In-Flight", ".status.running", "integer"),
         _column("Failed", ".status.failed", "integer"),
         _column("Succeeded", ".status.succeeded", "integer", 1),
         _column("Reused", ".status.reused", "integer", 1),

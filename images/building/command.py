@@ -113,7 +113,7 @@ def _build(tool: Tool, bases: Bases, recipe: Recipe) -> str:
     if listing.exists() and image.identity.removeprefix("sha256:") in listing.read_text():
         return done
     if importlib.util.find_spec("cyclonedx") is None:
-        return f"{done}, no list of packages: pip install cyclonedx-python-lib"
+        return f"{done}, no list of packages: make install brings cyclonedx-python-lib"
     found, distribution = packages.read(tool.files(recipe.reference, packages.wanted))
     listing.write_text(packages.document(recipe, image, found, distribution))
     return f"{done}, {len(found)} packages"

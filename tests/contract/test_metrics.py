@@ -39,7 +39,7 @@ def test_what_is_kept_fits_and_is_kept_again_as_it_is(values: dict[str, Any]) ->
         ({"a": "b\nc"}, "a (a text must have one line of at most 200 printable characters)"),
         (
             {"a\n": 1, "": 2},
-            "a? (a name must have 1 to 100 printable characters),  (a name must have 1 to 100",
+            "a  (a name must have 1 to 100 printable characters),  (a name must have 1 to 100",
         ),
         ({"x" * 101: 1}, "x" * 40 + "… (a name must have 1 to 100 printable characters)"),
         ({k: [] for k in "abcde"}, "a (a list), b (a list), c (a list) and 2 more"),

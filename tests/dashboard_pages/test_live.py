@@ -52,9 +52,10 @@ class Cluster(Workstation):
 class Served:
     """A dashboard in a thread."""
 
-    def __init__(self, source: Workstation, listening: socket.socket) -> None:
+    def __init__(self, source: Workstation, listening: socket.socket, **options: Any) -> None:
+        app = create_app(source, **options)
         config = uvicorn.Config(
-            create_app(source), log_level="critical", timeout_graceful_shutdown=1, lifespan="on", ws="none"
+            app, log_level="critical", timeout_graceful_shutdown=1, lifespan="on", ws="none"
         )
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=asyncio.run, args=(self._serve(listening),), daemon=True)
@@ -117,3 +118,14 @@ def test_the_page_waits_for_a_dashboard_that_is_away(browser: Any, cluster: Clus
         browser.wait("document.body.innerText.includes('60 of 60 runs finished')")
         browser.call("Page.navigate", url="about:blank")
     browser.complaints[:] = [one for one in browser.complaints if "net::ERR_" not in one]
+
+
+def test_a_page_that_is_told_nothing_asks(browser: Any, cluster: Cluster) -> None:
+    listening = listen("127.0.0.1", 0)
+    with Served(cluster, listening, listeners=0):
+        browser.open(f"http://127.0.0.1:{listening.getsockname()[1]}/sweeps/study")
+        browser.wait("document.body.innerText.includes('This page asks for news every 5 s')")
+        cluster.phases = {"Succeeded": 52, "Failed": 8}
+        browser.wait("document.body.innerText.includes('60 of 60 runs finished')")
+        browser.call("Page.navigate", url="about:blank")
+    browser.complaints[:] = [one for one in browser.complaints if "503" not in one]

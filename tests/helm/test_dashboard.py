@@ -56,7 +56,7 @@ def test_it_reads_its_settings_and_finds_what_they_name(helm: Any, tmp_path: Pat
         {"name": "http", "containerPort": found.port},
         {"name": "health", "containerPort": found.health_port},
     ]
-    assert found.connections_per_address == 128
+    assert found.connections_per_address == (512 if name == "team" else 128)
 
 
 @pytest.mark.parametrize("name", WITH_DASHBOARD)
@@ -107,6 +107,14 @@ def test_an_ingress_leads_to_its_service(helm: Any) -> None:
     assert spec["tls"] == [{"hosts": ["slam.example.org"], "secretName": "slam-tls"}]
     assert of(objects, "PodDisruptionBudget")["spec"]["minAvailable"] == 1
     assert of(helm.objects(), "Ingress") is None
+
+
+def test_visitors_behind_an_ingress_share_its_connections_unless_told_otherwise(
+    helm: Any, tmp_path: Path
+) -> None:
+    with_ingress = "dashboard.ingress.enabled=true,dashboard.ingress.host=slam.example.org"
+    told = ("--set", f"{with_ingress},dashboard.connectionsPerAddress=40")
+    assert settings(helm.objects(*told), tmp_path).connections_per_address == 40
 
 
 def test_it_can_be_left_out(helm: Any) -> None:

@@ -7,6 +7,7 @@ import base64
 import copy
 import json
 import zlib
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
@@ -260,6 +261,14 @@ async def test_a_full_cluster_is_said_at_runs_at_once_and_elsewhere_after_a_minu
     found = await borne(full, 10, room_seconds=room)
     assert found == (Patience(full) if said else Patience(seconds=50.0))
     assert await borne(full, 60, room_seconds=room) == Patience(full)
+
+
+async def test_a_claim_that_is_not_bound_is_said_at_once() -> None:
+    full = seen(pod("unschedulable")).waiting
+    assert full is not None
+    told = "0/1 nodes are available: pod has unbound immediate PersistentVolumeClaims."
+    unbound = replace(full, message=told)
+    assert await borne(unbound, 0) == Patience(unbound)
 
 
 async def test_a_job_without_a_pod_is_asked_about_after_seconds_and_again() -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.archive import Archive
+from slamhive.model.canonical import digest
 from slamhive.model.extras import how_to_install
 from slamhive.model.results import Outcome, Phase, Result, RunRecord
 
@@ -222,6 +223,90 @@ def test_a_run_that_is_exported_twice_is_there_once(
             assert len(client.search_runs(["1"])) == 4
         case _:
             assert len(list(out.glob("wandb/offline-run-*/*.wandb"))) == 4
+
+
+ODD = {
+    "radius(m)": 1,
+    "radius[m]": 2,
+    "radius_m_": 3,
+    "a/../b": 4,
+    "/c//": 5,
+    "x" * 300: 6,
+    "line\nend": 7,
+    "\x1b[31mred": 8,
+    "weite_ü": 9,
+}
+
+
+@pytest.mark.parametrize(
+    ("to", "module", "extra"),
+    [
+        ("tensorboard", "tensorboardX", "tensorboardX tensorboard"),
+        ("mlflow", "alembic", "mlflow-skinny alembic"),
+        ("wandb", "wandb", "wandb"),
+    ],
+)
+def test_names_that_a_program_refuses_are_replaced_and_kept_apart(
+    to: str, module: str, extra: str, place: Path, run_command: Any
+) -> None:
+    needs(module, extra)
+    shared: dict[str, Any] = {"spec": record(0).spec | {"parameters": ODD}, "metrics": dict(ODD)}
+    keep(place / "home", *(record(number, **shared) for number in (1, 2)))
+    code, said, err = run_command("results", "export", "--to", to, "-o", str(place / "out"))
+    assert (code, "3 runs written" in said) == (0, True), err
+    parameters, metrics, kept = names_in(to, place / "out")
+    assert sorted(parameters.values()) == sorted(metrics.values()) == sorted(ODD.values())
+    odd = {"tensorboard": "metrics.radius(m)", "mlflow": "parameters.radius(m)"}.get(to)
+    if odd is not None:
+        assert f"for {odd}" in err
+        assert odd in kept
+        assert (metrics["metrics.radius_m_"], metrics["metrics.weite_ü"]) == (3, 9)
+
+
+def names_in(to: str, out: Path) -> tuple[dict[str, float], dict[str, float], str]:
+    """Return the parameters, the metrics and the tags of a run as a program reads them."""
+    match to:
+        case "mlflow":
+            from mlflow import MlflowClient
+
+            client = MlflowClient(tracking_uri=f"sqlite:///{out}/mlflow.db")
+            run = client.search_runs(["1"], "tags.uid = 'uid/1'")[0].data
+            settings, figures, kept = run.params, run.metrics, "\n".join(run.tags.values())
+        case "tensorboard":
+            from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+            from tensorboard.plugins.hparams import plugin_data_pb2
+
+            events = EventAccumulator(str(next(out.glob("study/study-1-*"))), {"scalars": 0, "tensors": 0})
+            events.Reload()
+            plugin = events.summary_metadata["_hparams_/session_start_info"].plugin_data
+            found = plugin_data_pb2.HParamsPluginData.FromString(plugin.content).session_start_info.hparams
+            settings = {name: value.number_value for name, value in found.items()}
+            figures = {name: events.Scalars(name)[0].value for name in events.Tags()["scalars"]}
+            kept = events.Tensors("tags/text_summary")[0].tensor_proto.string_val[0].decode()
+        case _:
+            (path,) = out.glob(f"wandb/offline-run-*-{digest('uid/1')[:16]}/*.wandb")
+            from wandb.proto import wandb_internal_pb2
+
+            records = [wandb_internal_pb2.Record.FromString(data) for data in log_records(path.read_bytes())]
+            (config,) = (
+                json.loads(item.value_json)
+                for one in records
+                if one.HasField("run")
+                for item in one.run.config.update
+                if item.key == "settings"
+            )
+            settings, kept = config, ""
+            figures = {
+                item.key or "/".join(item.nested_key): json.loads(item.value_json)
+                for one in records
+                if one.HasField("summary")
+                for item in one.summary.update
+            }
+    return (
+        {name: float(value) for name, value in settings.items() if name.startswith("parameters.")},
+        {name: value for name, value in figures.items() if name.startswith("metrics.")},
+        kept,
+    )
 
 
 def test_figures_of_several_evaluations_are_told_apart(place: Path) -> None:

@@ -84,3 +84,38 @@ def test_one_run_has_all_columns_and_so_has_what_programs_read(
     home = fill([records.run(0), records.run(6)])
     head = slamhive(home, "results", "list", "--format", "csv")[1].splitlines()[0]
     assert head.startswith("run,sweep,algorithm,sensors,dataset,repetition,phase,")
+
+
+WILD = "a\x1b]0;title\x07 \u202eb\nc\x9bd\u2028e"
+
+
+@pytest.mark.parametrize(
+    ("command", "options"),
+    [
+        ("results list", []),
+        ("results list", ["--format", "markdown"]),
+        ("results list", ["--columns", f"run,parameters.{WILD},label.{WILD},dataset.attributes.{WILD}"]),
+        ("results list", ["--columns", f"run,parameters.{WILD}", "--format", "csv"]),
+        ("results table", ["--rows", f"parameters.{WILD}"]),
+        ("results table", ["--rows", f"parameters.{WILD}", "--format", "csv"]),
+        ("results table", ["--rows", f"parameters.{WILD}", "--format", "markdown"]),
+        ("results export", ["--columns", f"run,label.{WILD},dataset.attributes.{WILD}"]),
+        ("results export", ["--columns", f"run,label.{WILD}", "--format", "markdown"]),
+        ("paper-table", ["--rows", f"parameters.{WILD}", "--style", "markdown"]),
+        ("paper-table", ["--rows", f"parameters.{WILD}", "--style", "csv"]),
+    ],
+)
+def test_names_of_columns_are_cleaned_as_cells_are(
+    records: Any, fill: Fill, slamhive: Slamhive, command: str, options: list[str]
+) -> None:
+    def run(number: int) -> Any:
+        wild = {WILD: number}
+        return records.run(number, parameters=wild, labels={WILD: str(number)}, attributes=wild)
+
+    home = fill([run(0), run(6)])
+    code, out, err = slamhive(home, *command.split(), *options)
+    assert code == 0, err
+    assert "title" in out
+    assert {sign for sign in out + err if not sign.isprintable()} == {"\n"}
+    if "csv" in options:
+        assert {line.count(",") for line in out.splitlines()} == {out.splitlines()[0].count(",")}

@@ -40,7 +40,9 @@ def write_csv(stream: TextIO, columns: Iterable[str], rows: Iterable[Sequence[An
         columns: names, in order.
         rows: values in the same order; None, NaN and infinity become empty, lists and mappings JSON.
     """
-    _write_rows(stream, [list(columns)])
+    # A name is one line, and no sign in it turns the others around.
+    lines = ("".join(sign if sign.isprintable() else " " for sign in defused(name)) for name in columns)
+    csv.writer(_CsvLines(stream), lineterminator="\r\n").writerow(lines)
     _write_rows(stream, rows)
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def export(
     frame: Frame, target: BridgeTarget, folder: Path, source: Here, tell: Callable[[int], Any]
-) -> tuple[int, int]:
+) -> tuple[int, int, dict[str, str]]:
     """Write the runs of a table into another program's folder.
 
     Args:
@@ -30,7 +30,8 @@ def export(
         tell: told of each run that is done.
 
     Returns:
-        How many runs were written, and how many were there as they are.
+        How many runs were written, how many were there as they are, and what is in the place of names that
+        the program refuses.
 
     Raises:
         InputError: the program's library isn't installed.
@@ -46,7 +47,7 @@ def export(
             tell(new + same)
     finally:
         writer.close()
-    return new, same
+    return new, same, writer.names.changed
 
 
 def next_step(target: BridgeTarget, folder: Path) -> str:

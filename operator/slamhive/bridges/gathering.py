@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ from slamhive.runfiles.errors import FileMissingError, FileTooLargeError
 from slamhive.runfiles.trajectories import usage_columns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from slamhive.analysis.frame import Frame
     from slamhive.bridges.places import Here
@@ -37,6 +37,7 @@ _NO_FIGURES = (
     *("created", "started", "finished"),
 )
 _FIGURES_OF_RUN = ("usage.", "frames.", "metrics.", "trajectory.")
+_LONGEST_FITTED = 200
 _INDEX = re.compile(r"\[(\d+)\]")
 
 
@@ -85,6 +86,43 @@ class Handed:
         return digest(
             [self.name, self.sweep, self.settings, self.figures, self.tags, self.began, series, self.files]
         )
+
+
+class FittedNames:
+    """Names as a program takes them: one that it would refuse is replaced, and kept in a tag.
+
+    Args:
+        fit: returns a name as the program takes it.
+        settings: whether it refuses names of settings too, and not of figures alone.
+
+    Attributes:
+        changed: names that were replaced, by what is in their place.
+    """
+
+    def __init__(self, fit: Callable[[str], str], *, settings: bool = True) -> None:
+        self._fit = fit
+        self._settings = settings
+        self.changed: dict[str, str] = {}
+
+    def fitted(self, run: Handed) -> Handed:
+        """Return a run with names that the program takes."""
+        names = {name: self._one(name) for name in (*(run.settings if self._settings else ()), *run.figures)}
+        return replace(
+            run,
+            settings={names.get(name, name): value for name, value in run.settings.items()},
+            figures={names[name]: value for name, value in run.figures.items()},
+            tags={self._one(name): value for name, value in run.tags.items()}
+            | {f"renamed.{new}": name for name, new in names.items() if new != name},
+        )
+
+    def _one(self, name: str) -> str:
+        found = self._fit(name)
+        if found == name:
+            return name
+        # Its digest keeps two apart that would be one, in later exports into the same folder too.
+        new = f"{found[:_LONGEST_FITTED]}-{digest(name)[:6]}"
+        self.changed[name] = new
+        return new
 
 
 def plain(name: str) -> str:

@@ -5,8 +5,11 @@ from __future__ import annotations
 
 import logging
 import os
+import posixpath
+import re
 from typing import TYPE_CHECKING, Any
 
+from slamhive.bridges.gathering import FittedNames
 from slamhive.model.extras import library
 
 if TYPE_CHECKING:
@@ -18,6 +21,7 @@ DATABASE = "mlflow.db"
 NEXT = "mlflow ui --backend-store-uri sqlite:///{folder}/mlflow.db"
 _UID, _DIGEST = "slamhive.uid", "slamhive.digest"
 _MOST_TEXT = 6000
+_LONGEST_NAME = 249  # of 250: one may be put before it
 _MOST_PARAMETERS, _MOST_TAGS, _MOST_METRICS = 100, 100, 1000
 
 
@@ -25,11 +29,22 @@ def _batches(items: list[Any], most: int) -> list[list[Any]]:
     return [items[begin : begin + most] for begin in range(0, len(items), most)]
 
 
+def fit(name: str) -> str:
+    """Return a name as MLflow takes it: of its letters, and no path that would lead elsewhere."""
+    found = re.sub(r"[^/\w.\- :]", "_", name)[:_LONGEST_NAME]
+    if posixpath.normpath(found) != found or found.startswith(("/", "../")):
+        found = found.replace("/", "_")
+    return f"_{found}" if found in {"", "."} or found.startswith("..") else found
+
+
 class Writer:
     """Writes runs into one database; those that are there as they are now stay.
 
     Args:
         folder: where the database is.
+
+    Attributes:
+        names: those of settings, figures and tags that MLflow refuses.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -42,6 +57,7 @@ class Writer:
         folder.mkdir(parents=True, exist_ok=True)
         self._artifacts = folder.absolute() / "artifacts"
         self._client = tracking.MlflowClient(tracking_uri=f"sqlite:///{folder.absolute() / DATABASE}")
+        self.names = FittedNames(fit)
         self._experiments: dict[str, str] = {}
         self._known: dict[str, dict[str, tuple[str, str]]] = {}
 
@@ -54,15 +70,17 @@ class Writer:
             if there[1] == digest:
                 return False
             self._client.delete_run(there[0])
-        begin = round(run.began * 1000)
-        tags = {name: value[:_MOST_TEXT] for name, value in run.tags.items()} | {_UID: run.uid}
+        run = self.names.fitted(run)
         made = self._client.create_run(
             experiment,
-            start_time=begin,
+            start_time=round(run.began * 1000),
             run_name=run.name,
-            tags=dict(list(tags.items())[:_MOST_TAGS]) | {"mlflow.source.name": "slamhive"},
+            tags={_UID: run.uid, "mlflow.source.name": "slamhive"},
         )
         number = made.info.run_id
+        tags = [self._entities.RunTag(name, value[:_MOST_TEXT]) for name, value in run.tags.items()]
+        for some in _batches(tags, _MOST_TAGS):
+            self._client.log_batch(number, tags=some)
         settings = [
             self._entities.Param(name, str(value)[:_MOST_TEXT]) for name, value in run.settings.items()
         ]

@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slamhive.bridges.gathering import plain
+from slamhive.bridges.gathering import FittedNames, plain
+from slamhive.contract.lines import printable
 from slamhive.model.extras import library
 
 if TYPE_CHECKING:
@@ -24,9 +26,13 @@ class Writer:
 
     Args:
         folder: the folder.
+
+    Attributes:
+        names: those of figures that TensorBoard would replace, two by one name.
     """
 
     def __init__(self, folder: Path) -> None:
+        self.names = FittedNames(lambda name: re.sub(r"[^-/\w.]", "_", name).lstrip("/"), settings=False)
         self._library = library("tensorboardX", "tensorboard", "--to tensorboard")
         self._folder = folder
 
@@ -41,7 +47,7 @@ class Writer:
         # Aside, so that a run is there whole or not at all.
         aside = Path(tempfile.mkdtemp(prefix=f".{run.short}.", dir=target.parent))
         try:
-            self._fill(aside, run)
+            self._fill(aside, self.names.fitted(run))
             (aside / MARK).write_text(json.dumps({"uid": run.uid, "digest": digest}), encoding="utf-8")
             shutil.rmtree(target, ignore_errors=True)
             aside.chmod(0o755)
@@ -70,10 +76,14 @@ class Writer:
                 step, moment = round(t * 1000), run.began + t
                 writer.add_scalar("usage/cpu_cores", run.series["cpu"][number], step, walltime=moment)
                 writer.add_scalar("usage/memory_bytes", run.series["memory"][number], step, walltime=moment)
-            tags = "\n".join(f"| {name} | {value} |" for name, value in sorted(run.tags.items()))
+            tags = "\n".join(f"| {name} | {_cell(value)} |" for name, value in sorted(run.tags.items()))
             writer.add_text("tags", f"| tag | |\n|---|---|\n{tags}", 0, walltime=end)
             files = "\n".join(f"- {path}" for path in run.files)
             writer.add_text("files", files or "none here", 0, walltime=end)
+
+
+def _cell(text: str) -> str:
+    return printable(text).replace("|", "\\|")
 
 
 def _written(target: Path) -> str | None:

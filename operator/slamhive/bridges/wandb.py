@@ -9,6 +9,7 @@ import re
 import shutil
 from typing import TYPE_CHECKING, Any
 
+from slamhive.bridges.gathering import FittedNames
 from slamhive.model.canonical import digest as digest_of
 from slamhive.model.extras import library
 
@@ -27,7 +28,12 @@ class Writer:
 
     Args:
         folder: where wandb makes its folder ``wandb``.
+
+    Attributes:
+        names: wandb takes all.
     """
+
+    names = FittedNames(str)
 
     def __init__(self, folder: Path) -> None:
         os.environ.setdefault("WANDB_ERROR_REPORTING", "false")

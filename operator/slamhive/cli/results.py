@@ -20,9 +20,10 @@ from slamhive.bridges.targets import BridgeTarget
 from slamhive.cli.forgetting import prune
 from slamhive.cli.onerun import show_run
 from slamhive.cli.parts.choosing import Also, EvaluationName, Output, Superseded, Where
-from slamhive.cli.parts.console import out, plural, remark
+from slamhive.cli.parts.console import listing, out, plural, remark
 from slamhive.cli.parts.tables import PrintFormat, show, write_json, write_markdown
 from slamhive.cli.parts.waiting import Work
+from slamhive.contract.lines import printable
 from slamhive.data.files.outputs import output_whole
 from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError, UnknownNameError
@@ -42,7 +43,7 @@ from slamhive.tables.text import (
 from slamhive_eval.formats.csv_writing import csv_blocks, write_csv
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from typing import TextIO
 
     from slamhive.analysis.cells import Cell
@@ -114,9 +115,7 @@ def list_results(
             write_csv(sys.stdout, names, ([row[name] for name in names] for row in rows))
         case _:
             if same:
-                out.print(
-                    ", ".join(f"{name} {key_text(value)}" for name, value in same.items()), markup=False
-                )
+                _print_shared(same)
             lines = [[value_text(metric, row[metric.column]) for metric in shown] for row in rows]
             with declared_units(frame.units):
                 titles = [
@@ -197,9 +196,7 @@ def show_table(
         case _:
             shared = {name: value for name, value in constants(found, by or ()).items() if name not in across}
             if shared:
-                out.print(
-                    ", ".join(f"{name} {key_text(value)}" for name, value in shared.items()), markup=False
-                )
+                _print_shared(shared)
             with declared_units(frame.units), uncollected():
                 written = table_lines(found, across, metrics, {*shared, *implied(found, by or ())})
                 _print(form, *written)
@@ -301,10 +298,13 @@ def _hand_over(to: BridgeTarget, output: Path | None, selection: Selection, unus
         done = lambda count: work.count(count, total)  # noqa: E731
         if total:
             with Here.open(home.archive_url, home.path) as here:
-                new, same = export(chosen.frame, to, output, here, done)
+                new, same, renamed = export(chosen.frame, to, output, here, done)
         else:
-            new = same = 0
+            new, same, renamed = 0, 0, {}
     out.print(f"{output}: {plural(new, 'run')} written, {same} there already", soft_wrap=True, markup=False)
+    if renamed:
+        names = [f"{new_name} for {name}" for name, new_name in renamed.items()]
+        remark(f"{to} takes no such names, which are in tags: {listing(names)}")
     _remark(chosen)
     if total:
         out.print(f"Next:  {next_step(to, output)}", soft_wrap=True, markup=False)
@@ -402,6 +402,11 @@ def _sorted_cells(found: Aggregate, sort: str | None) -> Aggregate:
         return summary.mean if summary else None
 
     return replace(found, cells=order_by(found.cells, asked, get))
+
+
+def _print_shared(keys: Mapping[str, Any]) -> None:
+    told = ", ".join(f"{name} {key_text(value)}" for name, value in keys.items())
+    out.print(printable(told), markup=False)
 
 
 def _print(form: PrintFormat, headings: Sequence[str], lines: Sequence[Sequence[str]]) -> None:

@@ -148,6 +148,19 @@ def number(word: bytes) -> float | None:
         return None
 
 
+def printable(text: str) -> str:
+    """Return a text as one line that moves no terminal's cursor and turns no line around.
+
+    It may come from a server, a program or somebody else's archive.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        letter if letter.isprintable() else " " if letter.isspace() else "\N{REPLACEMENT CHARACTER}"
+        for letter in text
+    )
+
+
 def shown(word: bytes) -> str:
     """Return a word as a sentence shows it."""
     text = word[:200].decode("utf-8", "replace")

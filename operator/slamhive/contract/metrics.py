@@ -13,6 +13,7 @@ from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slamhive.contract.files import memory_bounded, open_regular
+from slamhive.contract.lines import printable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -176,9 +177,7 @@ class _Keeping:
 
     def _leave_out(self, name: str, problem: str) -> None:
         if len(self._left_out) < _SHOWN_NAMES:
-            shown = "".join(c if c.isprintable() else "?" for c in name[: _SHOWN_CHARACTERS + 1])
-            if len(name) > _SHOWN_CHARACTERS:
-                shown = shown[:_SHOWN_CHARACTERS] + "…"
+            shown = printable(name[:_SHOWN_CHARACTERS]) + "…" * (len(name) > _SHOWN_CHARACTERS)
             self._left_out.append(f"{shown} ({problem})")
         else:
             self._more += 1

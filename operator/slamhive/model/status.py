@@ -240,7 +240,7 @@ class SweepStatus(Status):
 
     total: _Count | None = optional("Number of runs: total.")
     pending: _Count | None = optional("Number of runs: pending.")
-    running: _Count | None = optional("Number of runs: running.")
+    running: _Count | None = optional("Number of runs in flight: prepared, waiting for a node, or running.")
     succeeded: _Count | None = optional("Number of runs: succeeded.")
     failed: _Count | None = optional("Number of runs: failed.")
     reused: _Count | None = optional("Number of runs: reused.")

@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any
 
+from slamhive.contract.lines import printable
 from slamhive.reporting.tablewords import (
     caption,
     column_words,
@@ -24,12 +25,11 @@ if TYPE_CHECKING:
     from slamhive.reporting.papertables import PaperTable, TableCell, TableNumber
 
 _SPECIAL = re.compile(r"([\\`*_\[\]<>|~])")
-_CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]+")
 
 
 def escaped(text: Any) -> str:
     """Return a text that Markdown shows as it is."""
-    return _SPECIAL.sub(r"\\\1", _CONTROL.sub(" ", plain(text)))
+    return _SPECIAL.sub(r"\\\1", printable(plain(text)))
 
 
 def markdown(table: PaperTable, *, told: str = "", origin: Sequence[str] = ()) -> str:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from jinja2 import TemplateSyntaxError, UndefinedError
 from jinja2.exceptions import SecurityError
 
+from slamhive.contract.lines import printable
 from slamhive.model.templates import TemplateMistake
 from slamhive.templating.helpers import Helpers
 from slamhive.templating.numbers import HelperProblem
@@ -94,8 +95,7 @@ class Renderer:
 
 def _clean(sentence: str) -> str:
     """Return a sentence in one line, without what a terminal or a file in UTF-8 can't show."""
-    line = " ".join(sentence.split())[:500]
-    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in line)
+    return printable(" ".join(sentence.split())[:500])
 
 
 def _bounded(chunks: Generator[str, None, None]) -> Iterator[str]:

@@ -305,8 +305,8 @@ LEAVING = {
     ),
     "metrics-long-name": measured(f"{LEFT_OUT} {'n' * 40}… {NAME_RULE}", metrics={"a": 2}),
     "metrics-terminal": measured(
-        f"{LEFT_OUT} a?[31m {NAME_RULE}, b (a text must have one line of at most 200 printable characters), "
-        f"c? {NAME_RULE} and 1 more",
+        f"{LEFT_OUT} a�[31m {NAME_RULE}, b (a text must have one line of at most 200 printable characters), "
+        f"c� {NAME_RULE} and 1 more",
         metrics={"e": 1},
     ),
     "metrics-deep": measured(f"{LEFT_OUT} a.a.a.a.a.a.a.a.a (nested deeper than 8)"),

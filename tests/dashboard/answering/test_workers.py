@@ -4,9 +4,12 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
+import signal
 import threading
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -109,9 +112,38 @@ async def test_cpu_seconds_end(workers: AnswerWorkers) -> None:
         await workers.compute(spin)
 
 
-async def test_memory_ends(workers: AnswerWorkers) -> None:
-    with pytest.raises(TooCostly, match="more than 64 MiB of memory"):
-        await workers.compute(grow)
+def end_by(number: int) -> None:
+    signal.signal(number, signal.SIG_DFL)
+    os.kill(os.getpid(), number)
+
+
+def get_none() -> None:
+    raise OSError(errno.ENOMEM, "no memory to be had")
+
+
+def be_killed_at_the_limit() -> None:
+    held = bytearray(os.urandom(1)) * (40 * 2**20)
+    os.kill(os.getpid(), signal.SIGKILL)
+    del held
+
+
+@pytest.mark.parametrize(
+    "end",
+    [
+        grow,
+        partial(end_by, signal.SIGSEGV),
+        partial(end_by, signal.SIGABRT),
+        partial(end_by, signal.SIGBUS),
+        get_none,
+        be_killed_at_the_limit,
+        partial(os._exit, 0),
+        partial(os._exit, 1),
+    ],
+    ids=["told", "SIGSEGV", "SIGABRT", "SIGBUS", "of the system", "SIGKILL", "wordless", "by a library"],
+)
+async def test_memory_ends(workers: AnswerWorkers, end: Callable[[], object]) -> None:
+    with pytest.raises(TooCostly, match="more than 64 MiB of memory: ask for fewer runs"):
+        await workers.compute(end)
 
 
 async def test_time_ends() -> None:

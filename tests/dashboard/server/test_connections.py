@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import socket
 import threading
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 import httpx
@@ -28,10 +29,18 @@ class Running:
     """A server in a thread."""
 
     def __init__(self, home: Path, protocol: type[Connection]) -> None:
-        app = create_app(Workstation(f"sqlite:///{home / 'archive.sqlite'}", home))
+        source = Workstation(f"sqlite:///{home / 'archive.sqlite'}", home)
+        app = create_app(source, listeners=MOST // 2)
         self.sockets = listen("127.0.0.1", 0), listen("127.0.0.1", 0)
         self.port, self.health_port = (one.getsockname()[1] for one in self.sockets)
-        config = uvicorn.Config(app, http=protocol, log_level="critical", lifespan="on", ws="none")
+        config = uvicorn.Config(
+            app,
+            http=protocol,
+            log_level="critical",
+            lifespan="on",
+            ws="none",
+            timeout_graceful_shutdown=1,
+        )
         self.server = _Server(config, Health(app.state.service.fresh), self.sockets[1])
         self.thread = threading.Thread(target=self.server.run, args=([self.sockets[0]],))
         self.thread.start()
@@ -88,6 +97,23 @@ def test_one_address_has_not_all_connections(running: Running) -> None:
         assert other.recv(65536).startswith(b"HTTP/1.1 200")
     for one in kept:
         one.close()
+
+
+EVENTS = WHOLE.replace(b"/healthz", b"/api/v1/events")
+
+
+def test_pages_that_listen_leave_connections_to_the_rest(running: Running) -> None:
+    with ExitStack() as kept:
+        pages = [kept.enter_context(running.connect(EVENTS)) for _ in range(MOST // 2)]
+        assert [one.recv(12) for one in pages] == [b"HTTP/1.1 200"] * len(pages)
+        for _ in range(MOST):
+            with running.connect(EVENTS) as refused, refused.makefile("rb") as file:
+                answer = file.read()
+            assert answer.startswith(b"HTTP/1.1 503")
+            assert b"connection: close" in answer.lower()
+            assert b"ask /api/v1 every few seconds" in answer
+        with running.connect(EVENTS, "127.0.0.2") as other, running.connect(WHOLE) as visitor:
+            assert (other.recv(12), visitor.recv(12)) == (b"HTTP/1.1 200",) * 2
 
 
 def test_health_has_a_port_of_its_own(running: Running) -> None:

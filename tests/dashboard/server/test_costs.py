@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import signal
 import sys
 import threading
 from pathlib import Path
@@ -56,6 +58,31 @@ async def test_who_computes(
         client.raw._transport.app.state.service.workers.told = asked.append
         await client.get(f"/{question}")
     assert bool(asked) is by_a_worker
+
+
+@pytest.mark.parametrize(
+    ("question", "computes"),
+    [
+        ("analysis/aggregate", "analysis.aggregated"),
+        ("runs?format=csv", "many_runs.whole_table"),
+        ("analysis/common", "common_support.meant"),
+    ],
+)
+async def test_what_takes_too_much_memory_is_computed_once(
+    api: Any, monkeypatch: pytest.MonkeyPatch, question: str, computes: str
+) -> None:
+    def end(*_: object, **__: object) -> None:
+        signal.signal(signal.SIGSEGV, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGSEGV)
+
+    monkeypatch.setattr(f"slamhive.dashboard.answers.{computes}", end)
+    begun: list[AnswerCost] = []
+    api.raw._transport.app.state.service.workers.told = begun.append
+    answers = [await api.raw.get(f"/api/v1/{question}") for _ in range(2)]
+    assert {answer.status_code for answer in answers} == {422}
+    assert not any("retry-after" in answer.headers for answer in answers)
+    assert "MiB of memory: ask for fewer runs, columns or groups" in answers[1].json()["error"]
+    assert len(begun) == 1
 
 
 @pytest.fixture

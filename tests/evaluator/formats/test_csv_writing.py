@@ -27,7 +27,7 @@ def read(text: str) -> list[list[str]]:
     "text", ['=HYPERLINK("http://x","y")', "+1+2", "-2+3", "@SUM(A1)", "\t=1", "\r=1", "-inf"]
 )
 def test_texts_that_a_spreadsheet_would_compute_are_defused(text: str) -> None:
-    assert read(csv_text({text: [text]})) == [[f"'{text}"], [f"'{text}"]]
+    assert read(csv_text({text: [text]})) == [["'" + re.sub(r"\s", " ", text)], [f"'{text}"]]
 
 
 @pytest.mark.parametrize(

@@ -242,7 +242,7 @@ def _shown(body: Object) -> dict[str, Any]:
     if body.get("kind") == Kind.MAPPING_RUN:
         over = is_over(Kind.MAPPING_RUN, body)
         return {"total": 1, "completed": int(over), "notes": str(found.get("phase", "Pending"))}
-    notes = [f"{found['running']} running"] if found.get("running") else []
+    notes = [f"{found['running']} in flight"] if found.get("running") else []
     notes += [f"[red]{found['failed']} failed[/]"] if found.get("failed") else []
     notes += [f"{found['evaluated']} evaluated"] if found.get("evaluated") else []
     done = found.get("succeeded", 0) + found.get("failed", 0)

@@ -45,7 +45,7 @@ _RUNS = 20
 _CONDITION = 120
 _GOOD = {"Succeeded": "green", "Complete": "green", "Failed": "red", "TooManyFailures": "red"}
 _FIGURES = ("ate", "cpu", "memory")
-_SWEEP = ("sweep", "phase", "", "done", "running", "failed", "evaluated", "best", "ATE", "age")
+_SWEEP = ("sweep", "phase", "", "done", "in flight", "failed", "evaluated", "best", "ATE", "age")
 _RUN = ("run", "phase", "algorithm", "dataset", "outcome", "ATE", "cores", "memory", "age")
 _ROOMY = 120
 _SPARED = frozenset({"best", "evaluated", "age", "dataset", "memory"})
@@ -108,7 +108,9 @@ def details(picture: NamespacePicture) -> list[RenderableType]:
 
 def _of_sweep(body: Object) -> list[tuple[str, str]]:
     found = status_of(body)
-    counts = [f"{found.get(word, 0):,} {word}" for word in ("running", "pending", "succeeded", "failed")]
+    # Those in flight are prepared, wait for a node, or run.
+    counts = [f"{found.get('running', 0):,} in flight"]
+    counts += [f"{found.get(word, 0):,} {word}" for word in ("pending", "succeeded", "failed")]
     counts += [f"{found[word]:,} {word}" for word in ("reused", "evaluated") if found.get(word)]
     return [
         ("phase", str(found.get("phase", "Pending"))),

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.markup import escape
 
+from slamhive.contract.lines import printable
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -53,7 +55,8 @@ def complain(message: str) -> None:
         emit("error", message=message)
         return
     for line in message.splitlines():
-        err.print(escape(line) if line.startswith(" ") else f"[bold red]error:[/] {escape(line)}")
+        told = escape(printable(line))
+        err.print(told if line.startswith(" ") else f"[bold red]error:[/] {told}")
 
 
 def remark(message: str) -> None:
@@ -61,7 +64,7 @@ def remark(message: str) -> None:
     if _json_lines:
         emit("note", message=message)
         return
-    err.print(f"[dim]{escape(message)}[/]")
+    err.print(f"[dim]{escape(printable(message))}[/]")
 
 
 def command_name() -> str:

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from rich.cells import cell_len
 
+from slamhive.contract.lines import printable
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
@@ -20,7 +22,6 @@ if TYPE_CHECKING:
     Row = Mapping[str, Any]
 
 _GAP = "   "
-_UNPRINTABLE = dict.fromkeys((*range(32), 127), " ")
 
 
 class PrintFormat(StrEnum):
@@ -37,14 +38,14 @@ def show(console: Console, headings: Sequence[str], lines: Iterable[Sequence[str
 
     Rich takes five minutes for 80,000 lines of 30 columns, this some seconds.
     """
-    titles = [heading.replace(" [", "\n[").split("\n") for heading in headings]
+    titles = [printable(heading).replace(" [", "\n[").split("\n") for heading in headings]
     deep = max(map(len, titles), default=0)
     columns = list(zip(*lines, strict=True)) or [()] * len(titles)
     widths, heads, bodies = [], [], []
     for title, column in zip(titles, columns, strict=True):
         head = [""] * (deep - len(title)) + title
         # Columns repeat few texts: each is made fit once.
-        cells = {text: _printable(text) for text in set(column)}
+        cells = {text: printable(text) for text in set(column)}
         width = max(map(_width, (*head, *cells.values())))
         padded = {text: cell + " " * (width - _width(cell)) for text, cell in cells.items()}
         widths.append(width)
@@ -56,10 +57,6 @@ def show(console: Console, headings: Sequence[str], lines: Iterable[Sequence[str
     console.file.writelines(f"{_GAP.join(line)}\n" for line in zip(*bodies, strict=True))
 
 
-def _printable(cell: str) -> str:
-    return cell if cell.isprintable() else cell.translate(_UNPRINTABLE)
-
-
 def _width(cell: str) -> int:
     return len(cell) if cell.isascii() else cell_len(cell)
 
@@ -67,7 +64,7 @@ def _width(cell: str) -> int:
 def write_markdown(stream: TextIO, headings: Sequence[str], lines: Iterable[Sequence[str]]) -> None:
     """Write lines of text as a Markdown table."""
     for line in (headings, ["---"] * len(headings), *lines):
-        cells = (cell.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ") for cell in line)
+        cells = (printable(cell).replace("\\", "\\\\").replace("|", "\\|") for cell in line)
         stream.write(f"| {' | '.join(cells)} |\n")
 
 

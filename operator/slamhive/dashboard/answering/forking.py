@@ -9,6 +9,7 @@ values, reads files of runs, and ends without cleaning up.
 from __future__ import annotations
 
 import asyncio
+import errno
 import fcntl
 import gc
 import os
@@ -89,19 +90,21 @@ def _work(
         for block in work():
             _send(pipe, BLOCK, block)
         _send(pipe, END, b"")
-    except MemoryError:
-        with suppress(BaseException):
-            _send(pipe, MEMORY, b"")
     except BaseException as error:  # noqa: BLE001 - whatever it is, the dashboard tells it
-        with suppress(BaseException):
-            found = told(error)
-            if found is not None:
-                _send(pipe, REFUSED, pickle.dumps(found))
-            else:
-                text = "".join(traceback.format_exception(error))
-                _send(pipe, MISTAKE, pickle.dumps((type(error).__name__, text)))
+        with suppress(BaseException):  # without memory even this may fail: then it ends without a word
+            _send(pipe, *_ending(error))
     finally:
         os._exit(0)
+
+
+def _ending(error: BaseException) -> tuple[bytes, bytes]:
+    """Return the kind and the content of the block that tells an error."""
+    if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
+        return MEMORY, b""
+    found = told(error)
+    if found is not None:
+        return REFUSED, pickle.dumps(found)
+    return MISTAKE, pickle.dumps((type(error).__name__, "".join(traceback.format_exception(error))))
 
 
 def _let_go(pipe: int) -> None:

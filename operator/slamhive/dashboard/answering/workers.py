@@ -35,8 +35,11 @@ _LOOK_SECONDS = 0.2
 _NICE = 10
 _GONE = -1
 _TICK = os.sysconf("SC_CLK_TCK")
+_PAGE = os.sysconf("SC_PAGE_SIZE")
+_ENDED_BY_OTHERS = {-signal.SIGKILL, -signal.SIGTERM, -signal.SIGINT}
 _HALVED_SECONDS = 10.0
 _KEPT_CLIENTS = 1000
+_LESS = "ask for fewer runs, columns or groups"
 _log = logging.getLogger("slamhive.dashboard")
 
 
@@ -104,6 +107,10 @@ class _AnswerProcess:
     budget: AnswerBudget
     began: float = field(default_factory=time.monotonic)
     reason: Problem | None = None
+    grown: int = 0
+
+    def __post_init__(self) -> None:
+        self.grown = -self.resident()
 
     def end(self, reason: Problem | None = None) -> None:
         """Kill it; the first reason is told."""
@@ -125,6 +132,12 @@ class _AnswerProcess:
         except (OSError, ValueError):
             return 0.0
         return (int(fields[11]) + int(fields[12])) / _TICK
+
+    def resident(self) -> int:
+        """Return the memory it holds, most of which it shares at first, bytes."""
+        with suppress(OSError, ValueError):
+            return int(read_file(f"/proc/{self.pid}/statm").split()[1]) * _PAGE
+        return 0
 
 
 class AnswerWorkers:
@@ -306,7 +319,8 @@ class AnswerWorkers:
                     else:
                         raise _problem(kind, part, budget)
             if not ended:
-                raise worker.reason or _death(await asyncio.shield(gone), budget)
+                status = await asyncio.shield(gone)
+                raise worker.reason or _death(status, worker.grown, budget)
         finally:
             watch.cancel()
             worker.end()
@@ -319,6 +333,7 @@ class AnswerWorkers:
         worker.handle = _GONE  # the number is the next one's by now
         self._running.pop(worker).set_result(status)
         cost = AnswerCost(usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024)
+        worker.grown += cost.memory
         self._add_use(worker.client, cost.cpu_seconds)
         if self.told is not None:
             self.told(cost)
@@ -354,22 +369,24 @@ def _problem(kind: bytes, part: bytes, budget: AnswerBudget) -> Problem:
     return _too_much_memory(budget) if kind == MEMORY else Busy("the answer was lost on its way")
 
 
-def _death(status: int, budget: AnswerBudget) -> Problem:
-    """Return the problem for a worker that ended and was not ended from here."""
+def _death(status: int, grown: int, budget: AnswerBudget) -> Problem:
+    """Return the problem for a worker that ended and was not ended from here.
+
+    Args:
+        status: how it ended, as of ``os.wait``.
+        grown: bytes it held at most, beyond those it began with.
+        budget: its limits.
+    """
     number = os.waitstatus_to_exitcode(status)
     if number == -signal.SIGXCPU:
-        return TooCostly(
-            f"the answer takes more than {budget.cpu_seconds} s of CPU time: ask for fewer runs, columns or "
-            "groups"
-        )
-    if number == -signal.SIGKILL:
+        return TooCostly(f"the answer takes more than {budget.cpu_seconds} s of CPU time: {_LESS}")
+    if number in _ENDED_BY_OTHERS and grown < budget.memory // 2:
         # Not at its own limit: all processes together were at theirs, and it is the first one to go.
         return Busy("memory was short, and the answer was given up: ask again in a while", 10)
-    return Busy(f"the process that computed the answer ended ({number}): ask again")
+    # A library that gets no memory may end in any way, and would end so again.
+    _log.warning("a process that computed an answer ended (%s)", number)
+    return _too_much_memory(budget)
 
 
 def _too_much_memory(budget: AnswerBudget) -> Problem:
-    return TooCostly(
-        f"the answer takes more than {budget.memory // 2**20} MiB of memory: ask for fewer runs, columns or "
-        "groups"
-    )
+    return TooCostly(f"the answer takes more than {budget.memory // 2**20} MiB of memory: {_LESS}")

@@ -15,7 +15,7 @@ from slamhive import __version__
 from slamhive.dashboard.answering.encoding import encode_json
 from slamhive.dashboard.problems import RETRY_SECONDS, Problem, told
 from slamhive.dashboard.server import routes, routes_catalog, routes_figures, routes_studies
-from slamhive.dashboard.server.events import Events
+from slamhive.dashboard.server.events import MAX_LISTENERS, Events
 from slamhive.dashboard.server.pages import Pages, docs_page
 from slamhive.dashboard.server.security import Shield
 from slamhive.dashboard.server.service import Service
@@ -31,15 +31,18 @@ if TYPE_CHECKING:
 _log = logging.getLogger("slamhive.dashboard")
 
 
-def create_app(source: Source, *, hosts: Collection[str] | None = None) -> FastAPI:
+def create_app(
+    source: Source, *, hosts: Collection[str] | None = None, listeners: int = MAX_LISTENERS
+) -> FastAPI:
     """Return the application.
 
     Args:
         source: where the data come from.
         hosts: names that it may be called by; None for any.
+        listeners: how many of one address are told of changes.
     """
     service = Service(source)
-    events = Events(service)
+    events = Events(service, listeners)
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
@@ -97,7 +100,8 @@ def _answer_problems(app: FastAPI) -> None:
             raise error
         status, body = found
         retry = getattr(error, "retry_after", None) or (RETRY_SECONDS if status == 503 else None)
-        return _json(body, status, {"Retry-After": str(retry)} if retry else {})
+        # Who is to come back later holds none of its address's connections until then.
+        return _json(body, status, {"Retry-After": str(retry), "Connection": "close"} if retry else {})
 
     for kind in (Problem, RunFileError, InputError, SystemFault):
         app.add_exception_handler(kind, foreseen)

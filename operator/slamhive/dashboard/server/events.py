@@ -5,14 +5,16 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections import Counter
 from functools import partial
 from typing import TYPE_CHECKING
 
 from slamhive.dashboard.answering.encoding import encode_json
 from slamhive.dashboard.answers.catalog import state
+from slamhive.dashboard.problems import SourceUnavailable
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator
+    from collections.abc import AsyncGenerator
 
     from slamhive.dashboard.server.service import Service
     from slamhive.dashboard.sources.archived import Snapshot
@@ -28,20 +30,35 @@ class Events:
 
     Args:
         service: where the data come from.
+        most_of_one: listeners of one address.
     """
 
-    def __init__(self, service: Service) -> None:
+    def __init__(self, service: Service, most_of_one: int = MAX_LISTENERS) -> None:
         self._service = service
+        self._most_of_one = most_of_one
         self._changed = asyncio.Condition()
         self._latest: tuple[str, bytes] = ("", b"")
         self._watcher: asyncio.Task[None] | None = None
         self._stopped = False
-        self.listeners = 0
+        self._listeners: Counter[str] = Counter()
 
-    async def stream(self) -> AsyncIterator[bytes]:
-        """Go through the events for one listener: the present state first."""
-        self.listeners += 1
+    async def stream(self, address: str = "") -> AsyncGenerator[bytes, None]:
+        """Go through the events for one listener: nothing once it has a place, then the present state.
+
+        Args:
+            address: of who listens.
+
+        Raises:
+            SourceUnavailable: as many are listening as may.
+        """
+        of_one, of_all = self._listeners[address], self._listeners.total()
+        if of_one >= self._most_of_one or of_all >= MAX_LISTENERS:
+            raise SourceUnavailable(
+                f"{of_all} pages are listening, {of_one} of this address: ask /api/v1 every few seconds"
+            )
+        self._listeners[address] += 1
         try:
+            yield b""
             if self._watcher is None or self._watcher.done():
                 self._watcher = asyncio.create_task(self._watch(), name="events")
             yield f"retry: {RETRY_MILLISECONDS}\n\n".encode()
@@ -54,7 +71,7 @@ class Events:
                     seen = event[0]
                     yield event[1]
         finally:
-            self.listeners -= 1
+            self._listeners -= Counter([address])  # none is kept at 0
 
     async def stop(self) -> None:
         """Let all listeners go."""
@@ -74,7 +91,7 @@ class Events:
         return None if self._stopped else self._latest
 
     async def _watch(self) -> None:
-        while self.listeners and not self._stopped:
+        while self._listeners and not self._stopped:
             begun = time.monotonic()
             snapshot = await self._service.source.fresh()
             if snapshot.revision != self._latest[0]:

@@ -12,11 +12,9 @@ from starlette.responses import StreamingResponse
 
 from slamhive.archive.records import CatalogEntry
 from slamhive.dashboard.answers import catalog, one_run, recordings
-from slamhive.dashboard.problems import SourceUnavailable
 from slamhive.dashboard.server.costs import costs_little
-from slamhive.dashboard.server.events import MAX_LISTENERS, Events
 from slamhive.dashboard.server.routes import FORMATS
-from slamhive.dashboard.server.service import Service, service_of
+from slamhive.dashboard.server.service import Service, client_of, service_of
 from slamhive.dashboard.sources.archived import Snapshot
 from slamhive.runfiles.artifacts import ArtifactFolder
 
@@ -208,11 +206,10 @@ async def file(request: Request, uid: Name, path: Name) -> Response:
 @routes.get("/events", summary="Changes, as server-sent events", response_class=StreamingResponse)
 async def changes(request: Request) -> StreamingResponse:
     """One event `revision` at once, and one whenever something changed."""
-    events: Events = request.app.state.events
-    if events.listeners >= MAX_LISTENERS:
-        raise SourceUnavailable(f"{MAX_LISTENERS} pages are listening already; ask /api/v1 every few seconds")
+    stream = request.app.state.events.stream(client_of(request))
+    await anext(stream)  # here a refusal has a status of its own
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-    return StreamingResponse(events.stream(), media_type="text/event-stream", headers=headers)
+    return StreamingResponse(stream, media_type="text/event-stream", headers=headers)
 
 
 def _download(service: Service, uid: str, path: str) -> Response:

@@ -10,6 +10,7 @@ import os
 import zlib
 from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import aclosing
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
@@ -33,7 +34,7 @@ from slamhive.dashboard.problems import Problem, SourceUnavailable, TooCostly
 from slamhive.dashboard.server.security import HEAD
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+    from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Iterator
 
     from starlette.types import Send
 
@@ -212,6 +213,8 @@ class Service:
         headers = _headers(snapshot, form)
         if headers["ETag"] in request.headers.get("if-none-match", ""):
             return Response(status_code=304, headers=headers)
+        key = (snapshot.revision, request.url.path, request.url.query, form)
+        self._recall(key)
         packed = _takes_gzip(request) and form is Format.CSV
         if packed:
             headers["Content-Encoding"] = "gzip"
@@ -220,7 +223,7 @@ class Service:
             blocks = encode_blocks(make(snapshot), form)
             return _packed(blocks) if packed else blocks
 
-        blocks = self.workers.stream(work, client_of(request))
+        blocks = self._streamed(key, work, client_of(request))
         try:
             first = await anext(blocks, b"")  # what is wrong is known by now, and has a status of its own
         except BaseException:
@@ -248,8 +251,7 @@ class Service:
         if kept is not None:
             self._kept.move_to_end(key)
             return kept
-        if key in self._refusals:
-            raise self._refusals[key]
+        self._recall(key)
         pending = self._pending.get(key)
         if pending is None:
             # Who asks the same meanwhile waits for the same answer.
@@ -272,10 +274,7 @@ class Service:
                 raise SourceUnavailable("the client has left")
             return pending.task.result()
         except TooCostly as error:
-            # It would be the same again, at the same cost.
-            self._refusals[key] = error
-            while len(self._refusals) > _KEPT_REFUSALS:
-                self._refusals.popitem(last=False)
+            self._refuse(key, error)
             raise
         finally:
             left.cancel()
@@ -284,6 +283,27 @@ class Service:
                 pending.task.cancel()
             if self._pending.get(key) is pending and (pending.task.done() or not pending.waiting):
                 del self._pending[key]
+
+    async def _streamed(
+        self, key: tuple[str, ...], work: Callable[[], Iterator[bytes]], client: str
+    ) -> AsyncGenerator[bytes, None]:
+        async with aclosing(self.workers.stream(work, client)) as blocks:
+            try:
+                async for block in blocks:
+                    yield block
+            except TooCostly as error:
+                self._refuse(key, error)
+                raise
+
+    def _refuse(self, key: tuple[str, ...], error: TooCostly) -> None:
+        """Remember a question that costs too much: it would be the same again, at the same cost."""
+        self._refusals[key] = error
+        while len(self._refusals) > _KEPT_REFUSALS:
+            self._refusals.popitem(last=False)
+
+    def _recall(self, key: tuple[str, ...]) -> None:
+        if key in self._refusals:
+            raise self._refusals[key].with_traceback(None)
 
 
 class _SentTable(StreamingResponse):

@@ -149,10 +149,10 @@ def serve(
         listening: the socket.
         hosts: names that it may be called by; None for any.
         health: a socket that answers /healthz and /readyz alone; None for none.
-        connections_per_address: how many one address may have.
+        connections_per_address: how many one address may have; open pages hold half of them at most.
         announce: called when it answers.
     """
-    app = create_app(source, hosts=hosts)
+    app = create_app(source, hosts=hosts, listeners=connections_per_address // 2)
     config = uvicorn.Config(
         app,
         http=connections(connections_per_address),

@@ -19,6 +19,7 @@ from http.client import HTTPException
 from typing import IO, Any, Self
 from urllib.parse import urlencode, urljoin, urlsplit
 
+from slamhive.contract.lines import printable
 from slamhive.model.errors import DataError, InputError, SystemFault
 
 TIMEOUT_SECONDS = 60
@@ -95,7 +96,7 @@ class HttpsResponse:
         try:
             data: bytes = self._response.read1(size)
         except (OSError, HTTPException) as error:
-            raise Interrupted(printable(str(error))) from None
+            raise Interrupted(_shown(str(error))) from None
         return data
 
     def read_page(self) -> str:
@@ -110,9 +111,9 @@ class HttpsResponse:
         return page.decode("utf-8", "replace")
 
 
-def printable(text: str) -> str:
-    """Return words of a server without letters that would move a terminal's cursor, at most 200 of them."""
-    return "".join(letter if letter.isprintable() else "�" for letter in text[:200])
+def _shown(text: str) -> str:
+    """Return words of a server as sentences show them, at most 200 letters."""
+    return printable(text[:200])
 
 
 def open_url(url: str, start: int = 0, end: int | None = None, condition: str | None = None) -> HttpsResponse:
@@ -160,7 +161,7 @@ class _HttpsAlone(urllib.request.HTTPRedirectHandler):
 
 def _require_https(target: str, source: str) -> None:
     if not target.lower().startswith("https://"):
-        raise DataError(f"{source} leads to {printable(target)}, expected an https:// address")
+        raise DataError(f"{source} leads to {_shown(target)}, expected an https:// address")
 
 
 def trusted() -> ssl.SSLContext:
@@ -197,9 +198,9 @@ def _open(url: str, start: int, end: int | None, condition: str | None) -> Https
         if error.code == 416 and start:
             return _open(url, 0, None, None)
         kind = Interrupted if error.code in _AGAIN else SystemFault
-        raise kind(printable(f"HTTP Error {error.code}: {error.reason}")) from None
+        raise kind(_shown(f"HTTP Error {error.code}: {error.reason}")) from None
     except (OSError, HTTPException) as error:
-        raise Interrupted(printable(str(getattr(error, "reason", error)))) from None
+        raise Interrupted(_shown(str(getattr(error, "reason", error)))) from None
     return _answer(response, start)
 
 
@@ -211,7 +212,7 @@ def _answer(response: Any, start: int) -> HttpsResponse:
         match = _RANGE.fullmatch(headers.get("Content-Range", ""))
         if match is None or int(match[1]) != start:
             response.close()
-            found = printable(str(headers.get("Content-Range")))
+            found = _shown(str(headers.get("Content-Range")))
             raise Interrupted(f"sent another range than bytes {start}-: {found}")
         total = None if match[3] == "*" else int(match[3])
         return HttpsResponse(start, total, validators, by_ranges=True, tells_end=True, _response=response)
@@ -236,7 +237,7 @@ class _HtmlPage(HTMLParser):
         self._action: str | None = None
         self._fields: list[tuple[str, str]] = []
         self.feed(text)
-        self.title = printable(" ".join(self.title.split()))[:100]
+        self.title = _shown(" ".join(self.title.split()))[:100]
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         known = {name: value or "" for name, value in attrs}

@@ -79,8 +79,9 @@ async def patience(
         waiting = await _explained(cluster, job, waiting)
         again, grace = AGAIN_SECONDS, cluster.settings.refusal_grace_seconds
     if waiting.end is None:
-        # A quota may be used up for hours: that is said at once.
-        quiet = 0.0 if waiting.since is None else room_seconds - waited
+        # A quota may be used up for hours, and a claim unbound for ever: that is said at once.
+        lasting = waiting.since is None or "persistentvolumeclaim" in waiting.message.lower()
+        quiet = 0.0 if lasting else room_seconds - waited
         return Patience(seconds=again or quiet) if quiet > 0 else Patience(waiting, again)
     left = 0.0 if waiting.hopeless else grace - waited
     if left <= 0:

@@ -6,6 +6,8 @@ from __future__ import annotations
 import subprocess
 from typing import TYPE_CHECKING
 
+from slamhive.contract.lines import printable
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -50,4 +52,4 @@ def last_line(text: str) -> str:
     last = lines[-1] if lines else "no message"
     for words in ("Error: ", "Error response from daemon: ", "ERROR: "):
         last = last.removeprefix(words)
-    return "".join(letter if letter.isprintable() else "?" for letter in last)[:_LINE_LIMIT]
+    return printable(last)[:_LINE_LIMIT]

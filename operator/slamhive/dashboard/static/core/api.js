@@ -115,6 +115,8 @@ export function useAll(urls) {
  */
 export const csvOf = (url) => `${url}${url.includes('?') ? '&' : '?'}format=csv`;
 
+const ASKING = 'This page asks for news every 5 s: too many pages are told of them already.';
+
 /**
  * Tell of each new revision: server-sent events, or asking every 5 s where they don't come.
  * @param {(live: LiveState) => void} tell
@@ -130,6 +132,8 @@ export function follow(tell) {
     last = { ...last, ...changes };
     tell(last);
   };
+  /** @type {EventSource|null} */
+  let source = null;
   const poll = () =>
     fetchJson('/api/v1').then(
       (index) =>
@@ -137,12 +141,11 @@ export function follow(tell) {
           connected: true,
           revision: index.revision,
           counts: index.counts,
-          problems: index.problems ?? [],
+          // A refusal is for good; what breaks off is asked for again by the browser.
+          problems: [...(index.problems ?? []), ...(source?.readyState === 2 ? [ASKING] : [])],
         }),
       (error) => say({ connected: error.status !== 0 }),
     );
-  /** @type {EventSource|null} */
-  let source = null;
   const quiet = () => {
     clearInterval(timer);
     timer = undefined;
