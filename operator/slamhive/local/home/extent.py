@@ -48,7 +48,7 @@ class DiskTally:
         """Return the room of files and folders beyond what was counted before; none where nothing is."""
         size = files = 0
         for path in paths:
-            for status in _below(path):
+            for _, status in below(path):
                 files += 1
                 size += self._counted(status)
         return Extent(size, files)
@@ -67,14 +67,14 @@ def total(extents: Iterable[Extent]) -> Extent:
     return sum(extents, Extent())
 
 
-def _below(path: Path) -> Iterator[os.stat_result]:
-    """Yield the state of a file, or of all files below a folder, however deep."""
+def below(path: Path) -> Iterator[tuple[str, os.stat_result]]:
+    """Yield the path and the state of a file, or of all files below a folder, however deep."""
     waiting: list[str] = []
     with suppress(OSError):
         if path.is_dir() and not path.is_symlink():
             waiting.append(str(path))
         else:
-            yield path.lstat()
+            yield str(path), path.lstat()
     while waiting:
         # A folder that an algorithm locked, or that goes meanwhile, counts as empty.
         with suppress(OSError), os.scandir(waiting.pop()) as found:
@@ -83,4 +83,4 @@ def _below(path: Path) -> Iterator[os.stat_result]:
                     waiting.append(entry.path)
                 else:
                     with suppress(OSError):
-                        yield entry.stat(follow_symlinks=False)
+                        yield entry.path, entry.stat(follow_symlinks=False)
