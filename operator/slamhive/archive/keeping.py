@@ -8,7 +8,6 @@ to any other, and read as it is.
 from __future__ import annotations
 
 import json
-import os
 import sqlite3
 import uuid
 from collections.abc import Callable
@@ -32,13 +31,12 @@ from slamhive.archive.connection import (
     open_engine,
     parse,
     reading,
-    remove_database,
     require_content,
     shown,
     writing,
 )
 from slamhive.archive.records import CatalogEntry, SweepRecord, run_row, to_record, to_result
-from slamhive.archive.upgrading import copy_database, upgrade
+from slamhive.archive.upgrading import copy_database, copying, upgrade
 from slamhive.model.base import explain
 from slamhive.model.errors import InputError
 
@@ -221,21 +219,20 @@ def _as_archive(source: Path) -> Iterator[str]:
     if "?" in str(source):  # what follows it in a database URL would be taken for options
         raise InputError(f"{source}: a path with a question mark is not allowed")
     require_content(source)
-    aside = source.with_name(f".{source.name}.{os.urandom(6).hex()}.restoring")
-    try:
-        url = f"sqlite:///{source}"
-        with reading(open_engine(parse(url), read_only=True)) as connection:
-            current = connection.exec_driver_sql("SELECT max(version) FROM slamhive_schema").scalar()
-        if current != schema.VERSION:
-            with closing(sqlite3.connect(source)) as origin:
-                copy_database(origin, aside)
-            url = f"sqlite:///{aside}"
-            done = upgrade(url)
-            if done is not None and done.copy is not None:
-                done.copy.unlink()
+    url = f"sqlite:///{source}"
+    with reading(open_engine(parse(url), read_only=True)) as connection:
+        current = connection.exec_driver_sql("SELECT max(version) FROM slamhive_schema").scalar()
+    if current == schema.VERSION:
         yield url
-    finally:
-        remove_database(aside)
+        return
+    with copying(source) as aside:
+        with closing(sqlite3.connect(source)) as origin:
+            copy_database(origin, aside)
+        url = f"sqlite:///{aside}"
+        done = upgrade(url)
+        if done is not None and done.copy is not None:
+            done.copy.unlink()
+        yield url
 
 
 def _copied(engine: Engine, target: Path, tell: Tell) -> bool:
@@ -248,20 +245,18 @@ def _copied(engine: Engine, target: Path, tell: Tell) -> bool:
         with reading(engine) as held:
             origin: Any = held.connection.driver_connection
             return copy_database(origin, target, share)
-    aside = target.with_name(f".{target.name}.{os.urandom(6).hex()}.making")
-    copy = connect(f"sqlite:///{aside}")
-    try:
-        with reading(engine) as held, exclusively(copy) as connection:
-            held.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ")
-            _copy_rows(held, connection, share)
-            identity = held.execute(select(schema.schema_version.c.identity)).scalar()
-            connection.execute(update(schema.schema_version).values(identity=identity))
-        copy.dispose()
+    with copying(target) as aside:
+        copy = connect(f"sqlite:///{aside}")
+        try:
+            with reading(engine) as held, exclusively(copy) as connection:
+                held.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ")
+                _copy_rows(held, connection, share)
+                identity = held.execute(select(schema.schema_version.c.identity)).scalar()
+                connection.execute(update(schema.schema_version).values(identity=identity))
+        finally:
+            copy.dispose()
         with closing(sqlite3.connect(aside)) as whole:
             return copy_database(whole, target)
-    finally:
-        copy.dispose()
-        remove_database(aside)
 
 
 def _copy_rows(held: Connection, target: Connection, share: Callable[[float], None]) -> dict[str, int]:

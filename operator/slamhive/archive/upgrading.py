@@ -7,7 +7,7 @@ writes to it. All others refuse an archive of another version.
 
 from __future__ import annotations
 
-import os
+import filecmp
 import sqlite3
 from contextlib import closing, contextmanager, suppress
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -20,11 +20,11 @@ from slamhive.archive.connection import (
     exclusively,
     failures,
     file_of,
+    made_aside,
     open_engine,
     parse,
     publish,
     reading,
-    remove_database,
     require_content,
     version_of,
     writing,
@@ -109,21 +109,34 @@ def copy_database(
     Raises:
         SystemFault: the disk refuses.
     """
-    aside = target.with_name(f".{target.name}.{os.urandom(6).hex()}.making")
-    try:
-        with closing(sqlite3.connect(aside)) as copy, _one_moment(origin):
-            origin.backup(
-                copy,
-                pages=_PAGES,
-                progress=lambda _, left, total: share(1 - left / total if total else 1.0),
-            )
-            # Its log comes into the file, which so is all of it wherever it is carried.
-            copy.execute("PRAGMA journal_mode = DELETE").close()
+    with copying(target) as aside:
+        _copy(origin, aside, share)
         return publish(aside, target)
+
+
+@contextmanager
+def copying(target: Path) -> Iterator[Path]:
+    """Yield a name for a copy of a database while it is made; as ``made_aside``.
+
+    Raises:
+        SystemFault: the disk refuses.
+    """
+    try:
+        with made_aside(target) as aside:
+            yield aside
     except (OSError, sqlite3.Error) as error:
         raise SystemFault(f"{target}: a copy of the archive can't be made: {error}") from None
-    finally:
-        remove_database(aside)
+
+
+def _copy(origin: sqlite3.Connection, target: Path, share: Callable[[float], None] = lambda _: None) -> None:
+    with closing(sqlite3.connect(target)) as copy, _one_moment(origin):
+        origin.backup(
+            copy,
+            pages=_PAGES,
+            progress=lambda _, left, total: share(1 - left / total if total else 1.0),
+        )
+        # Its log comes into the file, which so is all of it wherever it is carried.
+        copy.execute("PRAGMA journal_mode = DELETE").close()
 
 
 @contextmanager
@@ -239,11 +252,15 @@ def _give_back(engine: Engine, tell: Callable[[str], None]) -> None:
 
 
 def _keep(file: Path, version: int) -> Path:
-    """Copy an archive's file beside it under a name that is free, and return the copy."""
-    number = 0
-    while True:
-        copy = file.with_name(f"{file.name}.schema-{version}" + (f".{number}" if number else ""))
-        with closing(sqlite3.connect(file)) as origin:
-            if copy_database(origin, copy):
-                return copy
-        number += 1
+    """Copy an archive's file beside it under a name that is free, and return the copy.
+
+    An upgrade that was ended has left one: where that is equal, it is the copy.
+    """
+    kept = copy = file.with_name(f"{file.name}.schema-{version}")
+    with copying(kept) as aside, closing(sqlite3.connect(file)) as origin:
+        _copy(origin, aside)
+        number = 0
+        while not publish(aside, copy) and not filecmp.cmp(aside, copy, shallow=False):
+            number += 1
+            copy = kept.with_name(f"{kept.name}.{number}")
+    return copy
