@@ -31,6 +31,14 @@ if TYPE_CHECKING:
 
     from sqlalchemy import Dialect, Table
 
+_AWAY = re.compile(r"08...|57P0[1-5]")
+"""SQLSTATEs of a server that ends, begins, or is not reached."""
+
+
+class DatabaseAway(SystemFault):
+    """A database server is not reached, or ended while it was asked: it may be restarting."""
+
+
 BUSY_SECONDS = 30
 """Longest wait of a writer for another one's transaction."""
 
@@ -178,7 +186,8 @@ def failures(url: URL) -> Iterator[None]:
         file = file_of(url)
         if file is not None and _is_full(error.orig, file.parent):
             raise _full(file) from error
-        raise SystemFault(f"archive {shown(url)}: {cause}{_advice(error.orig)}") from error
+        kind = DatabaseAway if file is None and _is_away(error) else SystemFault
+        raise kind(f"archive {shown(url)}: {cause}{_advice(error.orig)}") from error
     except exc.SQLAlchemyError as error:
         raise SystemFault(f"archive {shown(url)}: {error}") from error
     except json.JSONDecodeError as error:
@@ -327,6 +336,13 @@ def _advice(error: BaseException | None) -> str:
         return _ADVICE.get(state, "")
     code = getattr(error, "sqlite_errorcode", None)
     return "" if code is None else _ADVICE.get(code & 0xFF, "")  # above it is the kind of the kind
+
+
+def _is_away(error: exc.DBAPIError) -> bool:
+    state = getattr(error.orig, "sqlstate", None)
+    if state is None:  # none that a server gave: it is not there
+        return error.connection_invalidated or isinstance(error, exc.OperationalError)
+    return _AWAY.fullmatch(state) is not None
 
 
 def _takes_files(folder: Path, *, held: bool) -> bool:

@@ -7,7 +7,6 @@ to any other, and read as it is.
 
 from __future__ import annotations
 
-import json
 import sqlite3
 import uuid
 from collections.abc import Callable
@@ -17,10 +16,9 @@ from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from pydantic import ValidationError
-from sqlalchemy import Text, cast, delete, func, insert, select, text, update
+from sqlalchemy import delete, func, insert, select, text, update
 
-from slamhive.analysis.shapes import MissingShapeError, Shape, join
+from slamhive.analysis.shapes import Shape
 from slamhive.archive import documents as documents_of_runs
 from slamhive.archive import schema
 from slamhive.archive.archive import BATCH
@@ -36,8 +34,8 @@ from slamhive.archive.connection import (
     writing,
 )
 from slamhive.archive.records import CatalogEntry, SweepRecord, run_row, to_record, to_result
+from slamhive.archive.rows import why
 from slamhive.archive.upgrading import copy_database, copying, upgrade
-from slamhive.model.base import explain
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -312,12 +310,8 @@ def _check_rows(connection: Connection, found: ArchiveFindings, tell: Tell) -> N
                 tell("checking the archive", done / total)
             try:
                 look(row)
-            except ValidationError as error:
-                first = error.errors()[0]
-                place = ".".join(map(str, first["loc"]))
-                found.faults.append(f"{table.name}: {name}: {place}: {explain(first)}")
-            except (ValueError, TypeError, AttributeError) as error:
-                found.faults.append(f"{table.name}: {name}: {error}")
+            except documents_of_runs.UNREADABLE as error:
+                found.faults.append(f"{table.name}: {name}: {why(error)}")
     _check_references(connection, found)
 
 
@@ -343,26 +337,16 @@ def _check_references(connection: Connection, found: ArchiveFindings) -> None:
 def _rows(
     connection: Connection, table: Table, found: ArchiveFindings
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Go through a table's rows by their names; a document that is no JSON is noted and left out."""
-    documents = [column.name for column in table.columns if isinstance(column.type, schema.JsonDocument)]
-    # As texts, so that one that can't be read doesn't end the reading of all others.
-    columns = [
-        cast(column, Text).label(column.name) if column.name in documents else column
-        for column in table.columns
-    ]
+    """Go through a table's rows by their names; one that can't be read is noted and left out."""
     shapes = documents_of_runs.read_all(connection) if table.name in documents_of_runs.DOCUMENTS else {}
+    columns = documents_of_runs.all_raw(connection, table)
     asked = connection.execution_options(yield_per=BATCH).execute(select(*columns))
     for held in asked.mappings():
         row = dict(held)
         name = str(row["uid"]) if "uid" in row else " ".join(str(row[key.name]) for key in table.primary_key)
-        try:
-            row |= {
-                key: None if row[key] is None else join(shapes, json.loads(row[key])) for key in documents
-            }
-        except MissingShapeError as error:
-            found.faults.append(f"{table.name}: {name}: {error}")
-        except ValueError as error:
-            found.faults.append(f"{table.name}: {name}: a document of it is no JSON: {error}")
+        ((wrong,),) = documents_of_runs.opened(connection, (table, [row]), shapes=shapes)
+        if wrong is not None:
+            found.faults.append(f"{table.name}: {name}: {why(wrong)}")
         else:
             yield name, row
 
@@ -385,7 +369,7 @@ def _check_shape(row: dict[str, Any]) -> None:
     Raises:
         ValueError: it is not.
     """
-    json.loads(row["text"])
+    documents_of_runs.parsed(row["text"])
     if Shape.of(row["text"]).number != row["number"]:
         raise ValueError("its text does not match its number")
 

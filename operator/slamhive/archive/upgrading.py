@@ -26,11 +26,13 @@ from slamhive.archive.connection import (
     publish,
     reading,
     require_content,
+    shown,
     version_of,
     writing,
     wrong_version,
 )
-from slamhive.model.errors import SystemFault
+from slamhive.archive.rows import why
+from slamhive.model.errors import InputError, SystemFault
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -173,7 +175,13 @@ def migrate(connection: Connection, found: int, tell: Callable[[str], None] = la
     """Bring tables of a version to this one in the transaction of a connection."""
     for version in range(found, schema.VERSION):
         tell(f"bringing the archive from schema {version} to {version + 1}")
-        migrations.STEPS[version](connection)
+        try:
+            migrations.STEPS[version](connection)
+        except documents.UNREADABLE as error:
+            raise InputError(
+                f"archive {shown(connection.engine.url)}: a row of it can't be read, so it stays as it is: "
+                f"{why(error)}"
+            ) from error
     connection.execute(update(schema.schema_version).values(version=schema.VERSION))
 
 
@@ -209,19 +217,26 @@ def divide_documents(engine: Engine, tell: Callable[[str], None] = lambda _: Non
 def _divide_some(connection: Connection, begun: int) -> tuple[int | None, int]:
     """Divide the documents of the next runs; return the last one's id, None at the end, and their number."""
     runs, results = schema.runs.c, schema.results.c
-    asked = select(runs.id, *(runs[name] for name in documents.DOCUMENTS["runs"]))
+    asked = select(runs.id, *(documents.raw(connection, runs[name]) for name in documents.DOCUMENTS["runs"]))
     held = connection.execute(asked.where(runs.id > begun).order_by(runs.id).limit(_RUNS).with_for_update())
-    rows = [dict(row) for row in held.mappings()]
-    if not rows:
+    found = [dict(row) for row in held.mappings()]
+    if not found:
         return None, 0
-    last = rows[-1]["id"]
-    wanted = select(results.run_id, results.evaluation, results["values"])
-    found = connection.execute(wanted.where(results.run_id.between(begun + 1, last)).with_for_update())
-    measured = [dict(row) for row in found.mappings()]
+    last = found[-1]["id"]
+    rows = _sound(connection, schema.runs, found)
+    wanted = select(results.run_id, results.evaluation, documents.raw(connection, results["values"]))
+    there = connection.execute(wanted.where(results.run_id.between(begun + 1, last)).with_for_update())
+    measured = _sound(connection, schema.results, [dict(row) for row in there.mappings()])
     documents.store(connection, ("runs", rows), ("results", measured))
     _replace(connection, schema.runs, ("id",), rows)
     _replace(connection, schema.results, ("run_id", "evaluation"), measured)
-    return last, len(rows)
+    return last, len(found)
+
+
+def _sound(connection: Connection, table: Table, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return opened rows without those that can't be read, which stay as they are."""
+    (wrong,) = documents.opened(connection, (table, rows))
+    return [row for row, problem in zip(rows, wrong, strict=True) if problem is None]
 
 
 def _replace(

@@ -246,6 +246,7 @@ class _Planner:
         for record in archive.runs():
             self._mine[_key(record)] = record
             self._uids.add(record.uid)
+        self._uids |= {one.uid for one in archive.left_out.values() if one.uid is not None}
         self._origin = other.archive.identity
         self._places: dict[Parts, Parts] = {}
         self._taken: set[Parts] = set()
@@ -400,7 +401,9 @@ def _bring(home: Path, coming: Coming, source: Path, target: Parts, identity: st
 
     def passed_over(folder: str, names: list[str]) -> set[str]:
         return _special(folder, names) | {
-            name for name in names if os.path.join(folder, name) in coming.left_out  # noqa: PTH118 - many
+            name
+            for name in names
+            if os.path.join(folder, name) in coming.left_out  # noqa: PTH118 - many
         }
 
     try:
