@@ -292,6 +292,14 @@ def test_an_emptied_file_is_no_new_archive(sqlite_url: str, make_run: MakeRun, r
     assert file_of(sqlite_url).stat().st_size == 0
 
 
+def test_a_version_that_is_none_is_damage(sqlite_url: str) -> None:
+    Archive.open(sqlite_url).close()
+    change(sqlite_url, "UPDATE slamhive_schema SET version = 'x'")
+    for attempt in (Archive.open, upgrading.upgrade):
+        with pytest.raises(InputError, match="the version of its tables is 'x'"):
+            attempt(sqlite_url)
+
+
 def test_a_new_archive_is_whole_from_its_first_moment(
     sqlite_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -145,7 +145,8 @@ def test_commands_say_what_they_leave_out(two: tuple[Any, Any], run_command: Cal
     for words in (("list",), ("table",), ("export", "--columns", "uid")):
         code, out, err = run_command("results", *words, f"--also={anna.path}")
         assert (code, "anna" in out) == (0, False), err
-        assert "run 'a' can't be read, and is left out: a document of it is no JSON: spec" in " ".join(err.split())
+        said = "run 'a' can't be read, and is left out: a document of it is no JSON: spec"
+        assert said in " ".join(err.split())
     spoil(mine)
     code, _, err = run_command("results", "list")
     assert (code, err.count("is left out")) == (0, 1)

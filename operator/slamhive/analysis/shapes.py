@@ -23,7 +23,7 @@ try:
     from orjson import loads as loads  # noqa: PLC0414 - others take it from here
 except ModuleNotFoundError:  # the extra is not installed: slower, the same
 
-    def loads(text: str | bytes) -> Any:
+    def loads(text: str | bytes) -> Any:  # type: ignore[misc]
         """Return a JSON value, as orjson does: no NaN, no infinity, no half of a character.
 
         Raises:

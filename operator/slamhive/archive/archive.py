@@ -546,7 +546,7 @@ class Archive:
     def _some(
         self, query: Select[Any], make: Callable[[dict[str, Any]], Item], table: Table = schema.runs
     ) -> list[Item]:
-        """Return what is made of rows; arguments as for ``read_rows``."""
+        """Return the items made of rows; arguments as for ``read_rows``."""
         with reading(self._engine) as connection:
             found, left_out = read_rows(connection, query, table, make)
         self._leave_out(left_out)

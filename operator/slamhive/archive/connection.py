@@ -259,7 +259,10 @@ def version_of(connection: Connection) -> int | None:
     """Return the version of the tables; None where there are none."""
     if not inspect(connection).has_table(schema.schema_version.name):
         return None
-    return connection.execute(select(schema.schema_version.c.version)).scalar()
+    found = connection.execute(select(schema.schema_version.c.version)).scalar()
+    if found is not None and not isinstance(found, int):
+        raise _damaged(connection.engine.url, f"the version of its tables is {found!r}")
+    return found
 
 
 def wrong_version(url: URL, found: int | None) -> InputError:

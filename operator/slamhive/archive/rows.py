@@ -114,7 +114,7 @@ def read_rows(
 
 
 def why(error: Exception) -> str:
-    """Return what is wrong with a row, as part of a sentence."""
+    """Return the fault of a row, as part of a sentence."""
     if isinstance(error, ValidationError):
         first = error.errors()[0]
         return f"{'.'.join(map(str, first['loc']))}: {explain(first)}"[: 2 * _SHOWN]

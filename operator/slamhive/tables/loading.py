@@ -131,12 +131,15 @@ def load(engine: Engine, before: Loaded | None = None, stamp: tuple[int, ...] | 
         runs = [one for one in before.left_out if one.number in found and one.number not in again]
         shapes = _Shapes()
         for rows in _batches(connection, changed):
-            columns = list(zip(*rows, strict=True))
-            measured = _results(connection, columns[0])
+            measured = _results(connection, [row[0] for row in rows])
+            columns, held = _turned(rows), _turned(measured)
             _add_marks(found, [*columns[: len(_CHANGES)], columns[-1]], runs=True)
-            held = list(zip(*measured, strict=True))
             _add_marks(found, held[: len(_RESULT_CHANGES)], runs=False)
-            part, left_out = _read_some(connection, rows, measured, shapes)
+            try:
+                part = _read(connection, columns, held, shapes)
+                left_out: list[LeftOut] = []
+            except UNREADABLE:
+                part, left_out = _read_some(connection, rows, measured, shapes)
             fresh.append(part)
             runs += left_out
     frame = _merge(before.frame, again, found, fresh, sweeps).declaring(declared)
@@ -303,18 +306,15 @@ class _Shapes:
 def _read_some(
     connection: Connection, rows: Sequence[Row[Any]], measured: Sequence[Row[Any]], shapes: _Shapes
 ) -> tuple[Part, list[LeftOut]]:
-    """Return the rows of some runs, with those of their results, and the runs that can't be read."""
-    try:
-        return _read(connection, *_turned(rows, measured), shapes), []
-    except UNREADABLE:
-        left_out: list[LeftOut] = []
-        for start in range(0, len(rows), _SOME):
-            ids = [row[0] for row in rows[start : start + _SOME]]
-            left_out += read_runs(connection, select(schema.runs).where(schema.runs.c.id.in_(ids))).left_out
+    """Return the rows of those runs that can be read, with those of their results, and the others."""
+    left_out: list[LeftOut] = []
+    for start in range(0, len(rows), _SOME):
+        ids = [row[0] for row in rows[start : start + _SOME]]
+        left_out += read_runs(connection, select(schema.runs).where(schema.runs.c.id.in_(ids))).left_out
     gone = {one.number for one in left_out}
     kept, of_kept = ([row for row in table if row[0] not in gone] for table in (rows, measured))
     try:
-        return (_read(connection, *_turned(kept, of_kept), shapes) if kept else ({}, 0)), left_out
+        return (_read(connection, _turned(kept), _turned(of_kept), shapes) if kept else ({}, 0)), left_out
     except UNREADABLE as error:
         raise InputError(
             f"archive {shown(connection.engine.url)}: rows of it can't be read ({why(error)}); "
@@ -322,8 +322,8 @@ def _read_some(
         ) from error
 
 
-def _turned(*tables: Sequence[Row[Any]]) -> list[list[Sequence[Any]]]:
-    return [list(zip(*rows, strict=True)) for rows in tables]
+def _turned(rows: Sequence[Row[Any]]) -> list[Sequence[Any]]:
+    return list(zip(*rows, strict=True))
 
 
 def _require_kinds(runs: dict[str, Any], measured: Sequence[Sequence[Any]]) -> None:

@@ -147,7 +147,7 @@ class Homes:
 
     @staticmethod
     def _held(label: str, ask: Callable[[], list[Item]]) -> list[Item]:
-        """Return what a home has; nothing of another one that does not answer, as its problem says."""
+        """Return the items of a home; none of another one that does not answer, as its problem says."""
         try:
             return ask()
         except SlamHiveError:

@@ -19,7 +19,6 @@ import json
 import os
 import shutil
 import sqlite3
-import stat
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from itertools import count
@@ -32,7 +31,7 @@ from slamhive.archive.schema import VERSION
 from slamhive.archive.upgrading import copy_database, upgrade
 from slamhive.contract.files import read_regular
 from slamhive.data.files.once import settle
-from slamhive.local.home.extent import DiskTally, Extent, below, total
+from slamhive.local.home.extent import BLOCK_BYTES, DiskTally, Extent, below, total
 from slamhive.local.home.removed import remove, run_parts, write_whole
 from slamhive.model.base import quantity
 from slamhive.model.errors import SystemFault
@@ -93,6 +92,7 @@ class Coming:
         extent: what it takes.
         room: bytes that a copy of it takes.
         left_out: files that are not copied, as with them it is larger than an output may be.
+        hollow: files with holes.
     """
 
     uid: str
@@ -102,6 +102,7 @@ class Coming:
     extent: Extent
     room: int = 0
     left_out: frozenset[str] = frozenset()
+    hollow: frozenset[str] = frozenset()
 
 
 @dataclass
@@ -295,11 +296,19 @@ class _Planner:
                     f"{path}: is not copied, as with its {status.st_size >> 20:,} MiB the run's files are "
                     f"beyond the {_LIMIT_BYTES >> 20:,} MiB that an output may have"
                 )
-        # Files of one content may be one file of several names there, and are copied name by name.
-        room = sum(
-            min(status.st_size, status.st_blocks * 512) for path, status in files if path not in left_out
+        taken = {
+            path: (status, min(status.st_size, status.st_blocks * BLOCK_BYTES))
+            for path, status in files
+            if path not in left_out
+        }
+        return replace(
+            coming,
+            extent=self._tally.count(status for _, status in files),
+            # Files of one content may be one file of several names there, and are copied name by name.
+            room=sum(size for _, size in taken.values()),
+            left_out=frozenset(left_out),
+            hollow=frozenset(path for path, (status, size) in taken.items() if size < status.st_size),
         )
-        return replace(coming, extent=self._tally.of(source), room=room, left_out=frozenset(left_out))
 
     def _place(self, record: RunRecord, digits: str) -> tuple[RunRecord, Path | None, Parts | None]:
         """Return a run as it has its files here, their folder there, and where that is copied to."""
@@ -395,7 +404,7 @@ def _bring(home: Path, coming: Coming, source: Path, target: Parts, identity: st
 
     def copy(one: str, other: str) -> None:
         try:
-            _copy_file(one, other)
+            (_copy_hollow if one in coming.hollow else shutil.copy2)(one, other, follow_symlinks=False)
         except PermissionError:
             unread.append(one)
 
@@ -425,27 +434,23 @@ def _bring(home: Path, coming: Coming, source: Path, target: Parts, identity: st
     return unread
 
 
-def _copy_file(source: str, target: str) -> None:
-    """Copy a file with its times and rights, its holes as holes; of a link the link."""
-    status = os.lstat(source)
-    if not stat.S_ISREG(status.st_mode) or status.st_blocks * 512 >= status.st_size:
-        shutil.copy2(source, target, follow_symlinks=False)
-        return
+def _copy_hollow(source: str, target: str, *, follow_symlinks: bool) -> None:
+    """Copy a file with its times and rights as ``shutil.copy2``, its holes as holes."""
     with open(source, "rb") as origin, open(target, "xb") as copy:  # noqa: PTH123 - as shutil does
-        end, there = 0, copy.fileno()
-        os.ftruncate(there, status.st_size)
-        while end < status.st_size:
+        end, there, size = 0, copy.fileno(), os.fstat(origin.fileno()).st_size
+        os.ftruncate(there, size)
+        while end < size:
             try:
                 start = os.lseek(origin.fileno(), end, os.SEEK_DATA)
             except OSError as error:
                 if error.errno != errno.ENXIO:
                     raise
                 break  # nothing but a hole is left
-            end = min(os.lseek(origin.fileno(), start, os.SEEK_HOLE), status.st_size)
+            end = min(os.lseek(origin.fileno(), start, os.SEEK_HOLE), size)
             os.lseek(there, start, os.SEEK_SET)
             while start < end and (done := os.sendfile(there, origin.fileno(), start, end - start)):
                 start += done
-    shutil.copystat(source, target)
+    shutil.copystat(source, target, follow_symlinks=follow_symlinks)
 
 
 def _special(folder: str, names: list[str]) -> set[str]:
