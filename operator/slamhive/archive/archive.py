@@ -538,10 +538,10 @@ class Archive:
                 found = read_runs(connection, query)
             self._leave_out(found.left_out)
             yield from found.records
-            if found.count < size:
+            if found.met < size:
                 return
             last = found.last
-            left = None if left is None else left - found.count
+            left = None if left is None else left - found.met
 
     def _some(
         self, query: Select[Any], make: Callable[[dict[str, Any]], Item], table: Table = schema.runs

@@ -35,13 +35,13 @@ class RunRows(NamedTuple):
     """Some rows of ``runs`` in their order.
 
     Attributes:
-        count: their number.
+        met: their number.
         last: id of the last one, 0 where there is none.
         records: of those that can be read.
         left_out: the others.
     """
 
-    count: int
+    met: int
     last: int
     records: list[RunRecord]
     left_out: list[LeftOut]
