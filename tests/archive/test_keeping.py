@@ -5,7 +5,10 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import sqlite3
+import subprocess
+import sys
 import tempfile
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -14,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from sqlalchemy import create_engine, event, text
 
-from slamhive.archive import Archive, CatalogEntry, SweepRecord
-from slamhive.archive.connection import connect, open_engine, writing
+from slamhive.archive import Archive, CatalogEntry, SweepRecord, upgrading
+from slamhive.archive.connection import connect, made_aside, open_engine, writing
 from slamhive.archive.keeping import backup, check, restore
 from slamhive.model.errors import InputError, SystemFault
 
@@ -289,6 +292,14 @@ def test_an_emptied_file_is_no_new_archive(sqlite_url: str, make_run: MakeRun, r
     assert file_of(sqlite_url).stat().st_size == 0
 
 
+def test_a_version_that_is_none_is_damage(sqlite_url: str) -> None:
+    Archive.open(sqlite_url).close()
+    change(sqlite_url, "UPDATE slamhive_schema SET version = 'x'")
+    for attempt in (Archive.open, upgrading.upgrade):
+        with pytest.raises(InputError, match="the version of its tables is 'x'"):
+            attempt(sqlite_url)
+
+
 def test_a_new_archive_is_whole_from_its_first_moment(
     sqlite_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -416,8 +427,6 @@ def test_power_loss_at_any_write_keeps_each_committed_run_once(
 def test_power_loss_during_an_upgrade_leaves_one_version_or_the_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, put_version: PutVersion
 ) -> None:
-    from slamhive.archive import upgrading
-
     place = tmp_path / "home"
     url = f"sqlite:///{place / 'archive.sqlite'}"
     put_version(url, 1)
@@ -444,6 +453,45 @@ def test_power_loss_during_an_upgrade_leaves_one_version_or_the_other(
         assert check(again).faults == []
         with Archive.open(again) as archive:
             assert archive.count() == 6
+
+
+KILLED = """
+import os, signal
+from slamhive.archive import upgrading
+upgrading.{step} = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)
+upgrading.upgrade({url!r})
+"""
+
+
+@pytest.mark.parametrize("steps", [["publish", "publish"], ["migrate", "migrate"], ["publish", "migrate"]])
+def test_what_killed_upgrades_left_goes_with_the_next(
+    sqlite_url: str, put_version: PutVersion, steps: list[str]
+) -> None:
+    place = file_of(sqlite_url).parent
+    put_version(sqlite_url, 1)
+    for step in steps:
+        ended = subprocess.run(
+            [sys.executable, "-c", KILLED.format(step=step, url=sqlite_url)], check=False, timeout=300
+        )
+        assert ended.returncode == -signal.SIGKILL
+    copied = f".{file_of(sqlite_url).name}.schema-1.0123456789ab.making"
+    (place / copied).write_text("nobody's lock says whose this is")
+    done = upgrading.upgrade(sqlite_url)
+    assert done is not None
+    kept = file_of(sqlite_url).with_name("archive.sqlite.schema-1")
+    assert done.copy == kept
+    assert {path.name for path in place.iterdir()} == {"archive.sqlite", kept.name, copied}
+    assert check(sqlite_url).counts["runs"] == 6
+
+
+def test_what_somebody_makes_is_no_leftover(tmp_path: Path) -> None:
+    file = tmp_path / "archive.sqlite"
+    with made_aside(file) as first, made_aside(file) as second:
+        first.write_text("one")
+        second.write_text("two")
+        with made_aside(file):
+            assert (first.read_text(), second.read_text()) == ("one", "two")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_writing_waits_its_turn_by_one_statement_more(sqlite_url: str) -> None:

@@ -180,6 +180,14 @@ def test_folders_are_laid_out_as_those_of_this_machine(
     }
 
 
+def test_a_hole_is_one_again(tmp_path: Path, volume: Volume, fetch: Callable[..., Filed]) -> None:
+    content = b"first" + bytes(4 << 20) + b"last" + bytes(3 << 20)
+    assert fetch(volume.put("one", {"output/map.db": content})).problems == []
+    file = here(tmp_path, "one") / "run" / "output" / "map.db"
+    assert file.read_bytes() == content
+    assert file.stat().st_blocks * 512 < 1 << 20
+
+
 def test_nothing_is_fetched_twice(volume: Volume, fetch: Callable[..., Filed]) -> None:
     one, two, kept = volume.put("one"), volume.put("two"), []
     fetch(one)

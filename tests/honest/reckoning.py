@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import select
 
 from slamhive.archive import schema
-from slamhive.archive.documents import whole
+from slamhive.archive.documents import all_raw, opened
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -107,10 +107,14 @@ def read(engine: Engine) -> dict[str, list[Row]]:
     tables = (schema.sweeps, schema.runs, schema.results)
     with engine.connect() as connection:
         rows = {
-            table.name: [dict(row) for row in connection.execute(select(table)).mappings()]
+            table.name: [
+                dict(row) for row in connection.execute(select(*all_raw(connection, table))).mappings()
+            ]
             for table in tables
         }
-        whole(connection, ("runs", rows["runs"]), ("results", rows["results"]))
+        wrong = opened(connection, *((table, rows[table.name]) for table in tables))
+    if any(map(any, wrong)):
+        raise ValueError(f"a row that can't be read: {wrong}")
     return rows
 
 

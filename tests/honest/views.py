@@ -117,6 +117,12 @@ class Views:
             raise CommandError(f"{answer.url}: {answer.status_code} {answer.text[:300]}")
         return answer.json()
 
+    def ask(self, address: str) -> None:
+        """Ask for an address, and be content with everything but a failure of the dashboard's own."""
+        answer = self._client.get(address)
+        if answer.status_code >= 500:
+            raise CommandError(f"{answer.url}: {answer.status_code} {answer.text[:300]}")
+
     def csv(self, path: str, pairs: Iterable[tuple[str, str]] = ()) -> list[Record]:
         """Return the CSV that the API answers."""
         answer = self._client.get(f"/api/v1/{path}", params=[*pairs, ("format", "csv")])

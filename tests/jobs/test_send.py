@@ -73,6 +73,8 @@ def test_nothing_but_plain_files_is_sent(tmp_path: Path, folder: Path) -> None:
     deep.mkdir(parents=True)
     (deep / "file").write_text("")
     (folder / "output" / os.fsdecode(b"\xff")).write_text("")
+    with (folder / "output" / "hollow").open("wb") as file:
+        file.truncate(1 << 40)
     *files, end = asked(tmp_path, {"folder": FOLDER})
     assert [one["path"] for one in files] == ["output/trajectory.txt", "summary.json"]
     assert {name.rpartition("/")[2]: why for name, why in end["left"]} == {
@@ -81,6 +83,7 @@ def test_nothing_but_plain_files_is_sent(tmp_path: Path, folder: Path) -> None:
         "fifo": "is no regular file",
         "d": "is nested too deeply",
         "\\udcff": "its name is no UTF-8",
+        "hollow": "is larger than an output may be, and most of it are holes",
     }
 
 

@@ -149,6 +149,44 @@ def test_merging_again_or_back_brings_nothing(
     assert len(anna.records()) == 7
 
 
+def test_holes_stay_holes_and_what_is_too_large_is_named(
+    keep: Callable[[str], Any], run_command: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine, anna = keep("mine"), keep("anna")
+    monkeypatch.setattr(merging, "_LIMIT_BYTES", 80 << 20)
+    output = Path(anna.run("a").folder or "") / "run" / "output"
+    with (output / "map.db").open("wb") as file:
+        file.write(b"first")
+        file.seek(40 << 20)
+        file.write(b"second" * 1000)
+        file.truncate(64 << 20)
+    with (output / "beyond.db").open("wb") as file:
+        file.truncate(1 << 40)
+    there = (output / "map.db").stat()
+    code, _, err = run_command("archive", "merge", anna.path)
+    assert code == 0, err
+    assert f"{output}/beyond.db: is not copied, as with its 1,048,576 MiB" in " ".join(err.split())
+    copied = Path(mine.records()["a"].folder) / "run" / "output"
+    assert {path.name for path in copied.iterdir()} == {"map.db", "trajectory.txt"}
+    assert (copied / "map.db").read_bytes() == (output / "map.db").read_bytes()
+    found = (copied / "map.db").stat()
+    assert (found.st_mtime_ns, found.st_mode) == (there.st_mtime_ns, there.st_mode)
+    assert found.st_blocks * 512 < 1 << 20
+
+
+def test_nothing_is_merged_without_room_for_all_of_it(
+    homes: tuple[Any, Any], run_command: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine, anna = homes
+    before = state(mine)
+    usage = merging.shutil.disk_usage(mine.path)
+    monkeypatch.setattr(merging.shutil, "disk_usage", lambda _: usage._replace(free=60))
+    code, _, err = run_command("archive", "merge", anna.path)
+    assert (code, "nothing was merged" in " ".join(err.split())) == (1, True)
+    assert state(mine) == before
+    monkeypatch.undo()
+
+
 def test_a_dry_run_changes_nothing(
     homes: tuple[Any, Any], run_command: Callable[..., Any], keep: Callable[[str], Any]
 ) -> None:

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
-from contextlib import asynccontextmanager
+import sqlite3
+from contextlib import asynccontextmanager, closing
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import httpx
@@ -101,3 +103,62 @@ async def test_a_home_that_is_damaged_later_is_said_and_the_others_go_on(
         snapshot = await homes.fresh()
     assert any(problem.startswith("home anna: ") for problem in snapshot.problems)
     assert len(snapshot.frame) == 1
+
+
+def spoil(home: Any, change: str = "spec = '1'") -> None:
+    """Change a column of all runs of a home to what no program of ours writes."""
+    with closing(sqlite3.connect(home.path / "archive.sqlite")) as connection, connection:
+        connection.execute(f"UPDATE runs SET {change}")
+
+
+@pytest.mark.parametrize("change", ["spec = '1'", "evaluations = '{'", "created = 'x'", "labels = '[7]'"])
+async def test_an_odd_run_of_another_home_is_left_out_and_named(two: tuple[Any, Any], change: str) -> None:
+    mine, anna = two
+    spoil(anna, change)
+    async with pages(mine, anna) as client:
+        assert set(await rows(client)) == {"a"}
+        (problem,) = (await client.get("/api/v1")).json()["problems"]
+        assert problem.startswith("home anna: run 'a' can't be read, and is left out: ")
+        assert problem.endswith("`slamhive archive check` says more")
+        assert (await client.get("/api/v1/runs/a")).status_code == 200
+
+
+async def test_a_home_that_cannot_be_read_takes_no_page_down(two: tuple[Any, Any]) -> None:
+    mine, anna = two
+    places = homes_beside(mine.home, [str(anna.path)])
+    (anna.path / "archive.sqlite").write_bytes(b"no database " * 1000)
+    app = create_app(Homes(mine.home, places))
+    async with (
+        app.router.lifespan_context(app),
+        httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://localhost") as client,
+    ):
+        assert set(await rows(client)) == {"a"}
+        for address in ("/", "/api/v1", "/api/v1/sweeps", "/api/v1/algorithms", "/api/v1/datasets"):
+            answer = await client.get(address)
+            assert answer.status_code == 200, answer.text
+        assert (await client.get("/api/v1")).json()["problems"][0].startswith("home anna: ")
+
+
+def test_commands_say_what_they_leave_out(two: tuple[Any, Any], run_command: Callable[..., Any]) -> None:
+    mine, anna = two
+    spoil(anna)
+    for words in (("list",), ("table",), ("export", "--columns", "uid")):
+        code, out, err = run_command("results", *words, f"--also={anna.path}")
+        assert (code, "anna" in out) == (0, False), err
+        said = "run 'a' can't be read, and is left out: a document of it is no JSON: spec"
+        assert said in " ".join(err.split())
+    spoil(mine)
+    code, _, err = run_command("results", "list")
+    assert (code, err.count("is left out")) == (0, 1)
+
+
+def test_files_of_a_run_that_cannot_be_read_stay(keep: Any, run_command: Callable[..., Any]) -> None:
+    mine = keep("mine")
+    first = mine.run("a")
+    mine.run("b", content="c1", folder=first.folder, files=False, name="s-b")
+    spoil(mine, "spec = '1' WHERE uid = 'a'")
+    assert run_command("gc", "--unrecorded", "--yes")[0] == 0
+    assert run_command("results", "prune", "--sweep", "s", "--yes")[0] == 0
+    assert (Path(first.folder) / "run" / "output" / "trajectory.txt").exists()
+    code, _, err = run_command("archive", "check")
+    assert (code, "a: spec.algorithmRef" in err or "runs: a: " in err) == (1, True)

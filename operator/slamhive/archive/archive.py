@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from sqlalchemy import Table, case, delete, exists, func, or_, select, update
 
 from slamhive.archive import documents, schema
 from slamhive.archive.connection import connect, insert_into, reading, shown, writing
+from slamhive.archive.documents import UNREADABLE, raw
+from slamhive.archive.patience import Patience, patient
 from slamhive.archive.records import (
     CatalogEntry,
     Cost,
@@ -19,18 +21,21 @@ from slamhive.archive.records import (
     Totals,
     catalog_row,
     clean,
+    require_parts,
     result_row,
     run_row,
-    to_record,
-    to_result,
 )
-from slamhive.model.errors import UnknownNameError
+from slamhive.archive.rows import read_rows, read_runs, why
+from slamhive.model.errors import InputError, UnknownNameError
+from slamhive.model.leftout import LeftOut, warn_of
 from slamhive.model.results import IntendedEvaluation, Phase, Reason, Result, RunRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from sqlalchemy import ColumnElement, Connection, Engine, Select
+
+Item = TypeVar("Item")
 
 BATCH = 500
 """Runs read or written at a time."""
@@ -64,9 +69,18 @@ class Archive:
     Several processes may write at the same time; they wait for each other. All methods raise
     SystemFault when the database doesn't answer, and those that write InputError when another slamhive has
     brought it to another version meanwhile.
+
+    Runs, sweeps and catalog entries that can't be read are left out of what is returned, with a
+    LeftOutWarning that names them.
+
+    Attributes:
+        left_out: those that were met so far, by what they are.
+        patience: how long a server that is away is waited for; None where it is not.
     """
 
     def __init__(self, engine: Engine) -> None:
+        self.left_out: dict[str, LeftOut] = {}
+        self.patience: Patience | None = None
         self._engine = engine
         self._statements: dict[tuple[str, tuple[str, ...]], Any] = {}
 
@@ -119,6 +133,7 @@ class Archive:
         """
         self.put_used([(record, algorithm, dataset)])
 
+    @patient
     def put_used(self, items: Iterable[tuple[RunRecord, CatalogEntry | None, CatalogEntry | None]]) -> None:
         """Write runs with the Algorithms and Datasets as they used them, all or none; else as ``put_run``.
 
@@ -147,6 +162,7 @@ class Archive:
             total += len(batch)
         return total
 
+    @patient
     def put_result(self, uid: str, result: Result) -> None:
         """Write a result of a run, in the place of an earlier one of the same evaluation.
 
@@ -161,6 +177,7 @@ class Archive:
             documents.store(connection, ("results", [row]))
             self._upsert_results(connection, [row])
 
+    @patient
     def put_sweep(self, sweep: SweepRecord) -> None:
         """Write a sweep, in the place of what was there of its UID."""
         row = {name: clean(value) for name, value in sweep.model_dump().items()}
@@ -187,6 +204,7 @@ class Archive:
             for entry in entries:
                 self._put_entry(connection, entry)
 
+    @patient
     def remove_run(self, uid: str) -> bool:
         """Remove a run with its results, and tell whether it was there."""
         with writing(self._engine) as connection:
@@ -199,6 +217,7 @@ class Archive:
             with writing(self._engine) as connection:
                 connection.execute(delete(schema.runs).where(schema.runs.c.uid.in_(batch)))
 
+    @patient
     def put_evaluations(self, uid: str, evaluations: Iterable[IntendedEvaluation]) -> None:
         """Add intended evaluations to a run; they replace earlier ones of their names.
 
@@ -207,17 +226,23 @@ class Archive:
         """
         runs = schema.runs.c
         with writing(self._engine) as connection:
-            found = connection.execute(select(runs.evaluations).where(runs.uid == uid)).one_or_none()
-            if found is None:
+            query = select(raw(connection, runs.evaluations)).where(runs.uid == uid)
+            row = dict(connection.execute(query).mappings().one_or_none() or {})
+            if not row:
                 raise UnknownNameError("run UID", uid, [], f"archive {self.location}")
-            row = {"evaluations": found[0]}
-            documents.whole(connection, ("runs", [row]))
-            known = {item["evaluation"]: item for item in row["evaluations"]}
+            try:
+                ((wrong,),) = documents.opened(connection, (schema.runs, [row]))
+                if wrong is not None:
+                    raise wrong
+                known = {item["evaluation"]: item for item in row["evaluations"]}
+            except UNREADABLE as error:
+                raise InputError(f"archive {self.location}: run {uid} can't be read: {why(error)}") from None
             wanted = known | {one.evaluation: clean(one.as_json()) for one in evaluations}
             row["evaluations"] = list(wanted.values())
             documents.store(connection, ("runs", [row]))
             connection.execute(update(schema.runs).where(runs.uid == uid).values(**row))
 
+    @patient
     def rename_run(self, record: RunRecord, uid: str) -> None:
         """Write a record in the place of the run of another UID, which thereby is called otherwise.
 
@@ -267,6 +292,7 @@ class Archive:
         with writing(self._engine) as connection:
             connection.execute(delete(schema.sweeps).where(schema.sweeps.c.uid.in_(list(uids))))
 
+    @patient
     def get(self, uid: str) -> RunRecord | None:
         """Return a run by its UID."""
         return next(self.runs({"uid": uid}), None)
@@ -310,6 +336,7 @@ class Archive:
         with reading(self._engine) as connection:
             return connection.execute(query).scalar_one()
 
+    @patient
     def finished(self, sweep_uid: str) -> dict[str, FinishedPoint]:
         """Return the ends of a sweep's finished runs, by UID.
 
@@ -322,12 +349,21 @@ class Archive:
             .where(runs.sweep_uid == sweep_uid, runs.phase.in_(_FINISHED))
             .order_by(runs.id)
         )
-        with reading(self._engine) as connection:
-            return {
-                uid: FinishedPoint(point, Phase(phase), Reason(reason) if reason else None, content)
-                for uid, point, phase, reason, content in connection.execute(query)
-            }
+        points = self._some(
+            query,
+            lambda row: (
+                row["uid"],
+                FinishedPoint(
+                    row["point"],
+                    Phase(row["phase"]),
+                    Reason(row["reason"]) if row["reason"] else None,
+                    row["content_hash"],
+                ),
+            ),
+        )
+        return dict(points)
 
+    @patient
     def earlier(self, sweep: str) -> list[EarlierRun]:
         """Return the finished runs of all versions of a workstation's sweep, in the order of being stored."""
         runs = schema.runs.c
@@ -340,24 +376,9 @@ class Archive:
             .where(runs.sweep == sweep, runs.phase.in_(_FINISHED), runs.namespace.is_(None))
             .order_by(runs.id)
         )
-        with reading(self._engine) as connection:
-            rows = [dict(row) for row in connection.execute(query).mappings()]
-            documents.whole(connection, ("runs", rows))
-        return [
-            EarlierRun(
-                uid=row["uid"],
-                sweep_uid=row["sweep_uid"],
-                index=row["point"],
-                phase=Phase(row["phase"]),
-                reason=Reason(row["reason"]) if row["reason"] else None,
-                finished=row["finished"],
-                wall_seconds=row["wall_seconds"],
-                content_hash=row["content_hash"],
-                origin={name: row["provenance"].get(name) for name in ORIGIN},
-            )
-            for row in rows
-        ]
+        return self._some(query, _earlier)
 
+    @patient
     def reusable(self, algorithms: Iterable[str], datasets: Iterable[str]) -> set[str]:
         """Return the content hashes of runs of some algorithms on some datasets that others may take over."""
         runs = schema.runs.c
@@ -370,6 +391,7 @@ class Archive:
         with reading(self._engine) as connection:
             return set(connection.execute(query).scalars())
 
+    @patient
     def costs(
         self, algorithms: Iterable[str], datasets: Iterable[str], each: int = 60, most: int = 6_000
     ) -> list[Cost]:
@@ -404,7 +426,7 @@ class Archive:
         query = (
             select(
                 *(runs.uid, runs.algorithm, runs.dataset, runs.spec, runs.reason, runs.cpu_seconds),
-                *(runs.wall_seconds, runs.memory_peak_bytes.label("memory_bytes"), runs.cpu_model),
+                *(runs.wall_seconds, runs.memory_peak_bytes, runs.cpu_model),
                 *(runs.content_hash, runs.folder, runs.provenance),
                 case((runs.namespace.is_(None), runs.created)).label("created"),
                 *(runs.started, runs.sweep_uid),
@@ -413,11 +435,9 @@ class Archive:
             .order_by(runs.id.desc())
             .limit(most)
         )
-        with reading(self._engine) as connection:
-            rows = [dict(row) for row in connection.execute(query).mappings()]
-            documents.whole(connection, ("runs", rows))
-        return [_cost(row) for row in rows]
+        return self._some(query, _cost)
 
+    @patient
     def cpu_seconds(self, sweep_uid: str) -> float:
         """Return the CPU time of a sweep's finished runs in s, those left out that took over a result."""
         runs = schema.runs.c
@@ -447,6 +467,7 @@ class Archive:
             count, reused, measured, cpu = connection.execute(query).one()
         return Totals(count, int(reused or 0), int(measured or 0), float(cpu or 0.0))
 
+    @patient
     def find_reusable(self, content_hash: str) -> RunRecord | None:
         """Return a run whose result another one of the same content may take over.
 
@@ -463,8 +484,9 @@ class Archive:
             .limit(1)
         )
         with reading(self._engine) as connection:
-            rows, found = _fetch(connection, query)
-        return to_record(rows[0], found.get(rows[0]["id"], [])) if rows else None
+            found = read_runs(connection, query)
+        self._leave_out(found.left_out)
+        return next(iter(found.records), None)
 
     def sweep(
         self, name: str, *, namespace: str | None = None, cluster: str | None = None
@@ -474,23 +496,23 @@ class Archive:
         found = (one for one in reversed(self.sweeps()) if (one.name, one.namespace, one.cluster) == place)
         return next(found, None)
 
+    @patient
     def sweeps(self) -> list[SweepRecord]:
         """Return all sweeps in the order of their creation."""
         columns = schema.sweeps.c
         query = select(schema.sweeps).order_by(columns.created.asc().nulls_first(), columns.uid)
-        with reading(self._engine) as connection:
-            return [SweepRecord.model_validate(dict(row)) for row in connection.execute(query).mappings()]
+        return self._some(query, SweepRecord.model_validate, schema.sweeps)
 
     def catalog(self, kind: str) -> list[CatalogEntry]:
         """Return the stored Algorithms or Datasets by name, versions of a name in the order of storing."""
         table = _CATALOG[kind]
         query = select(table).order_by(table.c.name, table.c.stored, table.c.content_hash)
         fields = ("name", "labels", "attributes", "spec")
-        with reading(self._engine) as connection:
-            rows = connection.execute(query).mappings().all()
-        return [
-            CatalogEntry.model_validate({"kind": kind} | {key: row[key] for key in fields}) for row in rows
-        ]
+        return self._some(
+            query,
+            lambda row: CatalogEntry.model_validate({"kind": kind} | {key: row[key] for key in fields}),
+            table,
+        )
 
     def used(self, uids: Iterable[str]) -> dict[str, tuple[str | None, str | None]]:
         """Return the content hashes of the Algorithm and the Dataset that runs used, by UID."""
@@ -513,13 +535,27 @@ class Archive:
                 .limit(size)
             )
             with reading(self._engine) as connection:
-                rows, results = _fetch(connection, query)
-            for row in rows:
-                yield to_record(row, results.get(row["id"], []))
-            if len(rows) < size:
+                found = read_runs(connection, query)
+            self._leave_out(found.left_out)
+            yield from found.records
+            if found.met < size:
                 return
-            last = rows[-1]["id"]
-            left = None if left is None else left - len(rows)
+            last = found.last
+            left = None if left is None else left - found.met
+
+    def _some(
+        self, query: Select[Any], make: Callable[[dict[str, Any]], Item], table: Table = schema.runs
+    ) -> list[Item]:
+        """Return the items made of rows; arguments as for ``read_rows``."""
+        with reading(self._engine) as connection:
+            found, left_out = read_rows(connection, query, table, make)
+        self._leave_out(left_out)
+        return found
+
+    def _leave_out(self, left_out: Iterable[LeftOut]) -> None:
+        new = [one for one in left_out if one.what not in self.left_out]
+        self.left_out |= {one.what: one for one in new}
+        warn_of(new, self.location)
 
     def _put(self, connection: Connection, records: list[RunRecord], rows: list[dict[str, Any]]) -> None:
         measured = [[result_row(0, result) for result in record.results] for record in records]
@@ -570,9 +606,25 @@ class Archive:
         return made
 
 
+def _earlier(row: dict[str, Any]) -> EarlierRun:
+    return EarlierRun(
+        uid=row["uid"],
+        sweep_uid=row["sweep_uid"],
+        index=row["point"],
+        phase=Phase(row["phase"]),
+        reason=Reason(row["reason"]) if row["reason"] else None,
+        finished=row["finished"],
+        wall_seconds=row["wall_seconds"],
+        content_hash=row["content_hash"],
+        origin={name: row["provenance"].get(name) for name in ORIGIN},
+    )
+
+
 def _cost(row: dict[str, Any]) -> Cost:
+    require_parts(row["spec"])
     origin = row.pop("provenance")
     return Cost(
+        memory_bytes=row.pop("memory_peak_bytes"),
         **row,
         prepared=origin.get("prepared"),
         algorithm_hash=origin.get("algorithmHash"),
@@ -604,19 +656,3 @@ def _conditions(
     if sweep is not None:
         conditions.append(schema.runs.c.sweep == sweep)
     return conditions
-
-
-def _fetch(
-    connection: Connection, query: Select[Any]
-) -> tuple[list[dict[str, Any]], dict[int, list[Result]]]:
-    """Return the rows of some runs, and their results by run, in three queries."""
-    rows = [dict(row) for row in connection.execute(query).mappings()]
-    columns = schema.results.c
-    wanted = select(schema.results).where(columns.run_id.in_([row["id"] for row in rows]))
-    ordered = wanted.order_by(columns.run_id, columns.evaluation)
-    measured = [dict(row) for row in connection.execute(ordered).mappings()]
-    documents.whole(connection, ("runs", rows), ("results", measured))
-    results: dict[int, list[Result]] = {}
-    for row in measured:
-        results.setdefault(row["run_id"], []).append(to_result(row))
-    return rows, results

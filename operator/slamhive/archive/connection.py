@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import json
 import os
 import re
 import shutil
 import sqlite3
 import uuid
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -29,6 +30,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from sqlalchemy import Dialect, Table
+
+_AWAY = re.compile(r"08...|57P0[1-5]")
+"""SQLSTATEs of a server that ends, begins, or is not reached."""
+
+
+class DatabaseAway(SystemFault):
+    """A database server is not reached, or ended while it was asked: it may be restarting."""
+
 
 BUSY_SECONDS = 30
 """Longest wait of a writer for another one's transaction."""
@@ -177,7 +186,8 @@ def failures(url: URL) -> Iterator[None]:
         file = file_of(url)
         if file is not None and _is_full(error.orig, file.parent):
             raise _full(file) from error
-        raise SystemFault(f"archive {shown(url)}: {cause}{_advice(error.orig)}") from error
+        kind = DatabaseAway if file is None and _is_away(error) else SystemFault
+        raise kind(f"archive {shown(url)}: {cause}{_advice(error.orig)}") from error
     except exc.SQLAlchemyError as error:
         raise SystemFault(f"archive {shown(url)}: {error}") from error
     except json.JSONDecodeError as error:
@@ -249,7 +259,10 @@ def version_of(connection: Connection) -> int | None:
     """Return the version of the tables; None where there are none."""
     if not inspect(connection).has_table(schema.schema_version.name):
         return None
-    return connection.execute(select(schema.schema_version.c.version)).scalar()
+    found = connection.execute(select(schema.schema_version.c.version)).scalar()
+    if found is not None and not isinstance(found, int):
+        raise _damaged(connection.engine.url, f"the version of its tables is {found!r}")
+    return found
 
 
 def wrong_version(url: URL, found: int | None) -> InputError:
@@ -326,6 +339,13 @@ def _advice(error: BaseException | None) -> str:
         return _ADVICE.get(state, "")
     code = getattr(error, "sqlite_errorcode", None)
     return "" if code is None else _ADVICE.get(code & 0xFF, "")  # above it is the kind of the kind
+
+
+def _is_away(error: exc.DBAPIError) -> bool:
+    state = getattr(error.orig, "sqlstate", None)
+    if state is None:  # none that a server gave: it is not there
+        return error.connection_invalidated or isinstance(error, exc.OperationalError)
+    return _AWAY.fullmatch(state) is not None
 
 
 def _takes_files(folder: Path, *, held: bool) -> bool:
@@ -436,24 +456,62 @@ def _make_file(file: Path, parsed: URL) -> None:
         InputError: the folder can't be written.
         SystemFault: the disk refuses.
     """
-    aside = file.with_name(f".{file.name}.{os.urandom(6).hex()}.making")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        engine = open_engine(parsed.set(database=str(aside)))
-        try:
-            with exclusively(engine) as connection:
-                _make_tables(connection)
-        finally:
-            engine.dispose()
-        publish(aside, file)
-    except SystemFault as error:  # of a name that nobody knows
-        raise SystemFault(str(error).replace(str(aside), str(file))) from None
+        with made_aside(file) as aside:
+            engine = open_engine(parsed.set(database=str(aside)))
+            try:
+                with exclusively(engine) as connection:
+                    _make_tables(connection)
+            except SystemFault as error:  # of a name that nobody knows
+                raise SystemFault(str(error).replace(str(aside), str(file))) from None
+            finally:
+                engine.dispose()
+            publish(aside, file)
     except OSError as error:
         if error.errno == errno.ENOSPC:
             raise _full(file) from None
         raise InputError(f"archive {file}: {file.parent}: {error.strerror}") from None
+
+
+@contextmanager
+def made_aside(file: Path) -> Iterator[Path]:
+    """Yield a name beside a database's, under which it is made; what has it is gone at the end.
+
+    It has a lock of its own, of which a killed process lets go: what such a one left goes first.
+
+    Raises:
+        OSError: the disk refuses.
+    """
+    _remove_left(file)
+    while True:
+        lock = file.with_name(f".{file.name}.{os.urandom(6).hex()}.lock")
+        # No lock on the database itself: closing it would let go of SQLite's own.
+        held = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        fcntl.flock(held, fcntl.LOCK_EX)
+        if os.fstat(held).st_nlink:
+            break
+        os.close(held)  # taken for a leftover before it was locked
+    try:
+        yield lock.with_suffix(".making")
     finally:
-        remove_database(aside)
+        remove_database(lock.with_suffix(".making"))
+        lock.unlink(missing_ok=True)
+        os.close(held)
+
+
+def _remove_left(file: Path) -> None:
+    """Remove what killed processes left of a database that they made: what has a lock that nobody holds."""
+    made = re.compile(rf"(\.{re.escape(file.name)}\.[0-9a-f]{{12}})\.lock")
+    names = os.listdir(file.parent)  # noqa: PTH208 - names alone
+    for match in filter(None, map(made.fullmatch, names)):
+        with suppress(OSError), file.with_name(match[0]).open("rb") as held:  # another user's is theirs
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # With what was made beside it, as of an upgrade of a copy.
+            for name in names:
+                if name.startswith((f"{match[1]}.making", f".{match[1]}.making")):
+                    file.with_name(name).unlink(missing_ok=True)
+            file.with_name(match[0]).unlink(missing_ok=True)
 
 
 def remove_database(file: Path) -> None:

@@ -7,8 +7,6 @@ to any other, and read as it is.
 
 from __future__ import annotations
 
-import json
-import os
 import sqlite3
 import uuid
 from collections.abc import Callable
@@ -18,10 +16,9 @@ from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from pydantic import ValidationError
-from sqlalchemy import Text, cast, delete, func, insert, select, text, update
+from sqlalchemy import delete, func, insert, select, text, update
 
-from slamhive.analysis.shapes import MissingShapeError, Shape, join
+from slamhive.analysis.shapes import Shape
 from slamhive.archive import documents as documents_of_runs
 from slamhive.archive import schema
 from slamhive.archive.archive import BATCH
@@ -32,14 +29,13 @@ from slamhive.archive.connection import (
     open_engine,
     parse,
     reading,
-    remove_database,
     require_content,
     shown,
     writing,
 )
 from slamhive.archive.records import CatalogEntry, SweepRecord, run_row, to_record, to_result
-from slamhive.archive.upgrading import copy_database, upgrade
-from slamhive.model.base import explain
+from slamhive.archive.rows import why
+from slamhive.archive.upgrading import copy_database, copying, upgrade
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -221,21 +217,20 @@ def _as_archive(source: Path) -> Iterator[str]:
     if "?" in str(source):  # what follows it in a database URL would be taken for options
         raise InputError(f"{source}: a path with a question mark is not allowed")
     require_content(source)
-    aside = source.with_name(f".{source.name}.{os.urandom(6).hex()}.restoring")
-    try:
-        url = f"sqlite:///{source}"
-        with reading(open_engine(parse(url), read_only=True)) as connection:
-            current = connection.exec_driver_sql("SELECT max(version) FROM slamhive_schema").scalar()
-        if current != schema.VERSION:
-            with closing(sqlite3.connect(source)) as origin:
-                copy_database(origin, aside)
-            url = f"sqlite:///{aside}"
-            done = upgrade(url)
-            if done is not None and done.copy is not None:
-                done.copy.unlink()
+    url = f"sqlite:///{source}"
+    with reading(open_engine(parse(url), read_only=True)) as connection:
+        current = connection.exec_driver_sql("SELECT max(version) FROM slamhive_schema").scalar()
+    if current == schema.VERSION:
         yield url
-    finally:
-        remove_database(aside)
+        return
+    with copying(source) as aside:
+        with closing(sqlite3.connect(source)) as origin:
+            copy_database(origin, aside)
+        url = f"sqlite:///{aside}"
+        done = upgrade(url)
+        if done is not None and done.copy is not None:
+            done.copy.unlink()
+        yield url
 
 
 def _copied(engine: Engine, target: Path, tell: Tell) -> bool:
@@ -248,20 +243,18 @@ def _copied(engine: Engine, target: Path, tell: Tell) -> bool:
         with reading(engine) as held:
             origin: Any = held.connection.driver_connection
             return copy_database(origin, target, share)
-    aside = target.with_name(f".{target.name}.{os.urandom(6).hex()}.making")
-    copy = connect(f"sqlite:///{aside}")
-    try:
-        with reading(engine) as held, exclusively(copy) as connection:
-            held.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ")
-            _copy_rows(held, connection, share)
-            identity = held.execute(select(schema.schema_version.c.identity)).scalar()
-            connection.execute(update(schema.schema_version).values(identity=identity))
-        copy.dispose()
+    with copying(target) as aside:
+        copy = connect(f"sqlite:///{aside}")
+        try:
+            with reading(engine) as held, exclusively(copy) as connection:
+                held.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ")
+                _copy_rows(held, connection, share)
+                identity = held.execute(select(schema.schema_version.c.identity)).scalar()
+                connection.execute(update(schema.schema_version).values(identity=identity))
+        finally:
+            copy.dispose()
         with closing(sqlite3.connect(aside)) as whole:
             return copy_database(whole, target)
-    finally:
-        copy.dispose()
-        remove_database(aside)
 
 
 def _copy_rows(held: Connection, target: Connection, share: Callable[[float], None]) -> dict[str, int]:
@@ -317,12 +310,8 @@ def _check_rows(connection: Connection, found: ArchiveFindings, tell: Tell) -> N
                 tell("checking the archive", done / total)
             try:
                 look(row)
-            except ValidationError as error:
-                first = error.errors()[0]
-                place = ".".join(map(str, first["loc"]))
-                found.faults.append(f"{table.name}: {name}: {place}: {explain(first)}")
-            except (ValueError, TypeError, AttributeError) as error:
-                found.faults.append(f"{table.name}: {name}: {error}")
+            except documents_of_runs.UNREADABLE as error:
+                found.faults.append(f"{table.name}: {name}: {why(error)}")
     _check_references(connection, found)
 
 
@@ -348,26 +337,16 @@ def _check_references(connection: Connection, found: ArchiveFindings) -> None:
 def _rows(
     connection: Connection, table: Table, found: ArchiveFindings
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Go through a table's rows by their names; a document that is no JSON is noted and left out."""
-    documents = [column.name for column in table.columns if isinstance(column.type, schema.JsonDocument)]
-    # As texts, so that one that can't be read doesn't end the reading of all others.
-    columns = [
-        cast(column, Text).label(column.name) if column.name in documents else column
-        for column in table.columns
-    ]
+    """Go through a table's rows by their names; one that can't be read is noted and left out."""
     shapes = documents_of_runs.read_all(connection) if table.name in documents_of_runs.DOCUMENTS else {}
+    columns = documents_of_runs.all_raw(connection, table)
     asked = connection.execution_options(yield_per=BATCH).execute(select(*columns))
     for held in asked.mappings():
         row = dict(held)
         name = str(row["uid"]) if "uid" in row else " ".join(str(row[key.name]) for key in table.primary_key)
-        try:
-            row |= {
-                key: None if row[key] is None else join(shapes, json.loads(row[key])) for key in documents
-            }
-        except MissingShapeError as error:
-            found.faults.append(f"{table.name}: {name}: {error}")
-        except ValueError as error:
-            found.faults.append(f"{table.name}: {name}: a document of it is no JSON: {error}")
+        ((wrong,),) = documents_of_runs.opened(connection, (table, [row]), shapes=shapes)
+        if wrong is not None:
+            found.faults.append(f"{table.name}: {name}: {why(wrong)}")
         else:
             yield name, row
 
@@ -390,7 +369,7 @@ def _check_shape(row: dict[str, Any]) -> None:
     Raises:
         ValueError: it is not.
     """
-    json.loads(row["text"])
+    documents_of_runs.parsed(row["text"])
     if Shape.of(row["text"]).number != row["number"]:
         raise ValueError("its text does not match its number")
 

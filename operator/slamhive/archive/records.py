@@ -172,6 +172,7 @@ def clean_text(text: str) -> str:
 
 
 _SAME = ("uid", "name", "sweep", "sweep_uid", "namespace", "cluster")
+_REFERENCES = ("algorithmRef", "datasetRef")
 
 
 def run_row(record: RunRecord) -> dict[str, Any]:
@@ -243,7 +244,12 @@ def _number(value: Any) -> float | None:
 
 
 def to_record(run: Mapping[str, Any], results: Iterable[Result]) -> RunRecord:
-    """Return the record of a row of ``runs``."""
+    """Return the record of a row of ``runs``.
+
+    Raises:
+        ValueError: the row is none of a run.
+    """
+    require_parts(run["spec"])
     fields = (*_SAME, "message", "attempts", "created", "started", "finished", "evaluations")
     return RunRecord.model_validate(
         {name: run[name] for name in fields}
@@ -254,6 +260,20 @@ def to_record(run: Mapping[str, Any], results: Iterable[Result]) -> RunRecord:
         | {name: run[name] for name in ("trajectory", "provenance", "folder", "log_tail")}
         | {"index": run["point"], "results": list(results)}
     )
+
+
+def require_parts(spec: Any) -> None:
+    """Check the parts of a spec that everybody takes to be what they are.
+
+    Raises:
+        ValueError: one is something else.
+    """
+    for name in (*_REFERENCES, "parameters", "input", "resources"):
+        part = spec.get(name) if isinstance(spec, dict) else None
+        if part is not None and not isinstance(part, dict):
+            raise ValueError(f"spec.{name}: expected an object, found {str(part)[:40]!r}")
+        if part is not None and name in _REFERENCES and not isinstance(part.get("name"), str):
+            raise ValueError(f"spec.{name}: expected a name, found {str(part.get('name'))[:40]!r}")
 
 
 def to_result(row: Mapping[str, Any]) -> Result:

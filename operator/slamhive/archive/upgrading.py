@@ -7,7 +7,7 @@ writes to it. All others refuse an archive of another version.
 
 from __future__ import annotations
 
-import os
+import filecmp
 import sqlite3
 from contextlib import closing, contextmanager, suppress
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -20,17 +20,19 @@ from slamhive.archive.connection import (
     exclusively,
     failures,
     file_of,
+    made_aside,
     open_engine,
     parse,
     publish,
     reading,
-    remove_database,
     require_content,
+    shown,
     version_of,
     writing,
     wrong_version,
 )
-from slamhive.model.errors import SystemFault
+from slamhive.archive.rows import why
+from slamhive.model.errors import InputError, SystemFault
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -109,21 +111,34 @@ def copy_database(
     Raises:
         SystemFault: the disk refuses.
     """
-    aside = target.with_name(f".{target.name}.{os.urandom(6).hex()}.making")
-    try:
-        with closing(sqlite3.connect(aside)) as copy, _one_moment(origin):
-            origin.backup(
-                copy,
-                pages=_PAGES,
-                progress=lambda _, left, total: share(1 - left / total if total else 1.0),
-            )
-            # Its log comes into the file, which so is all of it wherever it is carried.
-            copy.execute("PRAGMA journal_mode = DELETE").close()
+    with copying(target) as aside:
+        _copy(origin, aside, share)
         return publish(aside, target)
+
+
+@contextmanager
+def copying(target: Path) -> Iterator[Path]:
+    """Yield a name for a copy of a database while it is made; as ``made_aside``.
+
+    Raises:
+        SystemFault: the disk refuses.
+    """
+    try:
+        with made_aside(target) as aside:
+            yield aside
     except (OSError, sqlite3.Error) as error:
         raise SystemFault(f"{target}: a copy of the archive can't be made: {error}") from None
-    finally:
-        remove_database(aside)
+
+
+def _copy(origin: sqlite3.Connection, target: Path, share: Callable[[float], None] = lambda _: None) -> None:
+    with closing(sqlite3.connect(target)) as copy, _one_moment(origin):
+        origin.backup(
+            copy,
+            pages=_PAGES,
+            progress=lambda _, left, total: share(1 - left / total if total else 1.0),
+        )
+        # Its log comes into the file, which so is all of it wherever it is carried.
+        copy.execute("PRAGMA journal_mode = DELETE").close()
 
 
 @contextmanager
@@ -160,7 +175,13 @@ def migrate(connection: Connection, found: int, tell: Callable[[str], None] = la
     """Bring tables of a version to this one in the transaction of a connection."""
     for version in range(found, schema.VERSION):
         tell(f"bringing the archive from schema {version} to {version + 1}")
-        migrations.STEPS[version](connection)
+        try:
+            migrations.STEPS[version](connection)
+        except documents.UNREADABLE as error:
+            raise InputError(
+                f"archive {shown(connection.engine.url)}: a row of it can't be read, so it stays as it is: "
+                f"{why(error)}"
+            ) from error
     connection.execute(update(schema.schema_version).values(version=schema.VERSION))
 
 
@@ -196,19 +217,26 @@ def divide_documents(engine: Engine, tell: Callable[[str], None] = lambda _: Non
 def _divide_some(connection: Connection, begun: int) -> tuple[int | None, int]:
     """Divide the documents of the next runs; return the last one's id, None at the end, and their number."""
     runs, results = schema.runs.c, schema.results.c
-    asked = select(runs.id, *(runs[name] for name in documents.DOCUMENTS["runs"]))
+    asked = select(runs.id, *(documents.raw(connection, runs[name]) for name in documents.DOCUMENTS["runs"]))
     held = connection.execute(asked.where(runs.id > begun).order_by(runs.id).limit(_RUNS).with_for_update())
-    rows = [dict(row) for row in held.mappings()]
-    if not rows:
+    found = [dict(row) for row in held.mappings()]
+    if not found:
         return None, 0
-    last = rows[-1]["id"]
-    wanted = select(results.run_id, results.evaluation, results["values"])
-    found = connection.execute(wanted.where(results.run_id.between(begun + 1, last)).with_for_update())
-    measured = [dict(row) for row in found.mappings()]
+    last = found[-1]["id"]
+    rows = _sound(connection, schema.runs, found)
+    wanted = select(results.run_id, results.evaluation, documents.raw(connection, results["values"]))
+    there = connection.execute(wanted.where(results.run_id.between(begun + 1, last)).with_for_update())
+    measured = _sound(connection, schema.results, [dict(row) for row in there.mappings()])
     documents.store(connection, ("runs", rows), ("results", measured))
     _replace(connection, schema.runs, ("id",), rows)
     _replace(connection, schema.results, ("run_id", "evaluation"), measured)
-    return last, len(rows)
+    return last, len(found)
+
+
+def _sound(connection: Connection, table: Table, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return opened rows without those that can't be read, which stay as they are."""
+    (wrong,) = documents.opened(connection, (table, rows))
+    return [row for row, problem in zip(rows, wrong, strict=True) if problem is None]
 
 
 def _replace(
@@ -239,11 +267,15 @@ def _give_back(engine: Engine, tell: Callable[[str], None]) -> None:
 
 
 def _keep(file: Path, version: int) -> Path:
-    """Copy an archive's file beside it under a name that is free, and return the copy."""
-    number = 0
-    while True:
-        copy = file.with_name(f"{file.name}.schema-{version}" + (f".{number}" if number else ""))
-        with closing(sqlite3.connect(file)) as origin:
-            if copy_database(origin, copy):
-                return copy
-        number += 1
+    """Copy an archive's file beside it under a name that is free, and return the copy.
+
+    An upgrade that was ended has left one: where that is equal, it is the copy.
+    """
+    kept = copy = file.with_name(f"{file.name}.schema-{version}")
+    with copying(kept) as aside, closing(sqlite3.connect(file)) as origin:
+        _copy(origin, aside)
+        number = 0
+        while not publish(aside, copy) and not filecmp.cmp(aside, copy, shallow=False):
+            number += 1
+            copy = kept.with_name(f"{kept.name}.{number}")
+    return copy

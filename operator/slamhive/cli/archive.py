@@ -159,6 +159,10 @@ def _tell_of_merge(plan: Merge) -> None:
         remark(sentence)
     if len(plan.aside) > _SHOWN:
         remark(f"and {len(plan.aside) - _SHOWN:,} more are kept beside")
+    for sentence in plan.left_out[:_SHOWN]:
+        remark(sentence)
+    if len(plan.left_out) > _SHOWN:
+        remark(f"and {len(plan.left_out) - _SHOWN:,} more files are not copied")
     if plan.without:
         remark(f"{plural(plan.without, 'run')} without files there: only the records come")
 

@@ -22,14 +22,16 @@ from slamhive.local.housekeeping.forgetting import ArchivedRun, alone, forget, p
 from slamhive.model.base import quantity
 from slamhive.model.errors import InputError
 from slamhive.model.results import Phase
-from slamhive.tables.reading import read_archive
+from slamhive.tables.reading import read_table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable, Collection, Iterable
 
     from slamhive.analysis.frame import Frame
     from slamhive.archive import Archive
     from slamhive.local.housekeeping.forgetting import Forgetting
+    from slamhive.model.leftout import LeftOut
+    from slamhive.tables.snapshots import Loaded
 
 _DAYS = {"d": 1.0, "w": 7.0, "h": 1 / 24, "m": 1 / 1440}
 _SHOWN = 15
@@ -113,8 +115,9 @@ def prune_chosen(
     """
     require_archive(home)
     with open_archive(home) as archive:
-        frame = read_archive(home.archive_url)
-        plan = _plan(home, frame, chosen(frame), records=records, larger=larger)
+        table = read_table(home.archive_url)
+        frame = table.frame
+        plan = _plan(home, table, chosen(frame), records=records, larger=larger)
         _tell(plan)
         if records and plan.going:
             _tell_of_current(archive, frame, {one.run.uid for one in plan.going})
@@ -131,8 +134,8 @@ def prune_chosen(
         with alone(home, "a removal of runs"):
             # Looked at again, as nobody was kept from anything while the user thought about it; what has
             # come since was not shown and stays.
-            frame = read_archive(home.archive_url)
-            plan = _plan(home, frame, chosen(frame), records=records, larger=larger).restricted(shown)
+            table = read_table(home.archive_url)
+            plan = _plan(home, table, chosen(table.frame), records=records, larger=larger).restricted(shown)
             with progress("removing", len(plan.going)) as step:
                 forget(home, archive, plan, step)
             then(archive)
@@ -145,17 +148,19 @@ def uids_of(frame: Frame) -> list[str]:
     return [str(row["uid"]) for row in frame.select(first_rows(frame)).records(["uid"])]
 
 
-def known_runs(frame: Frame) -> list[ArchivedRun]:
-    """Return all runs of a table."""
+def known_runs(frame: Frame, left_out: Iterable[LeftOut] = ()) -> list[ArchivedRun]:
+    """Return all runs of a table, and those that can't be read: their files are not nobody's."""
     names = ("uid", "name", "sweep", "folder", "label.source")
     rows = frame.select(first_rows(frame)).records(names)
-    return [ArchivedRun(*(row[name] and str(row[name]) for name in names)) for row in rows]
+    runs = [ArchivedRun(*(row[name] and str(row[name]) for name in names)) for row in rows]
+    return [*runs, *(ArchivedRun(one.what, one.what, None, one.folder) for one in left_out)]
 
 
 def _plan(
-    home: Home, frame: Frame, chosen: Collection[str], *, records: bool, larger: float | None
+    home: Home, table: Loaded, chosen: Collection[str], *, records: bool, larger: float | None
 ) -> Forgetting:
-    return plan_forgetting(home.path, known_runs(frame), chosen, records=records, larger=larger)
+    known = known_runs(table.frame, table.left_out)
+    return plan_forgetting(home.path, known, chosen, records=records, larger=larger)
 
 
 def _counted(plan: Forgetting) -> str:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import sys
 from collections import defaultdict
 from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -112,13 +113,18 @@ def _survey(place: Home, asked: CollectOptions) -> list[HomeFind]:
     from slamhive.cli.forgetting import known_runs
     from slamhive.local.home.catalog import load_workshop
     from slamhive.local.housekeeping.collecting import survey
-    from slamhive.tables.reading import read_archive
+    from slamhive.tables.reading import read_table
 
     with suppress(SystemFault):  # a full disk is to be freed; what else may be wrong, reading says
         open_archive(place).close()  # brings an earlier version up to date, and refuses a newer one
-    frame = read_archive(place.archive_url)
-    datasets = {str(name) for name in frame.column("dataset").factorized()[1] if name is not None}
-    return survey(place, load_workshop(place), known_runs(frame), datasets, asked)
+    table = read_table(place.archive_url)
+    datasets = {str(name) for name in table.frame.column("dataset").factorized()[1] if name is not None}
+    datasets |= {one.dataset for one in table.left_out if one.dataset is not None}
+    if asked.unrecorded and table.left_out:
+        remark("folders of runs without a record stay: a record that can't be read may be theirs")
+        asked = replace(asked, unrecorded=False)
+    known = known_runs(table.frame, table.left_out)
+    return survey(place, load_workshop(place), known, datasets, asked)
 
 
 def _require_readable(place: Home) -> None:

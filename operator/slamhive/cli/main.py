@@ -7,6 +7,7 @@ import atexit
 import gc
 import signal
 import sys
+import warnings
 from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
@@ -18,6 +19,7 @@ from typer.core import TyperGroup
 from slamhive import __version__
 from slamhive.cli.parts.exits import FAILED, INTERRUPTED, WRONG_INPUT
 from slamhive.model.errors import InputError, SlamHiveError, sentence
+from slamhive.model.leftout import LeftOutWarning
 from slamhive.model.uncollected import uncollected
 
 if TYPE_CHECKING:
@@ -219,6 +221,7 @@ def main() -> None:
     """Run the command; what goes wrong ends in a sentence and an exit code."""
     # Python looks through everything that is left before it ends, for a sixth of a figure's time.
     atexit.register(gc.freeze)
+    _say_warnings()
     try:
         app()
     except InputError as error:
@@ -233,6 +236,22 @@ def main() -> None:
         sys.exit(0)
     except OSError as error:
         _end(sentence(error), FAILED)
+
+
+def _say_warnings() -> None:
+    """Have it said, once, what of an archive can't be read and is left out."""
+    shown = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, LeftOutWarning):
+            from slamhive.cli.parts.console import remark  # as in _end
+
+            remark(str(message))
+        else:
+            shown(message, category, *where, **more)
+
+    warnings.filterwarnings("default", category=LeftOutWarning)
+    warnings.showwarning = show
 
 
 def _end(message: str, code: int) -> None:

@@ -6,11 +6,15 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
+from slamhive.model.base import quantity
+from slamhive.monitor.spec import OUTPUT_LIMIT
+
 if TYPE_CHECKING:
     from pathlib import Path
 
 _MOST_LEFT = 20
 _DEPTH = 16
+_LIMIT_BYTES = int(quantity(OUTPUT_LIMIT))
 _FLAGS = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_DIRECTORY
 
 
@@ -71,6 +75,8 @@ class Listing:
                 self.leave(path, what, lost=False)
             elif len(self.files) >= self._most:
                 self.leave(path, f"there are more than {self._most} files")
+            elif _is_hollow(entry):
+                self.leave(path, "is larger than an output may be, and most of it are holes")
             else:
                 self.files.append(path)
 
@@ -87,3 +93,12 @@ class Listing:
             self._list(below, f"{path}/", depth)
         finally:
             os.close(below)
+
+
+def _is_hollow(entry: os.DirEntry[str]) -> bool:
+    """Tell whether sending a file would send terabytes of zeros that take no room where they are."""
+    try:
+        status = entry.stat(follow_symlinks=False)
+    except OSError:  # gone since it was listed, as whoever opens it finds out
+        return False
+    return status.st_size > max(_LIMIT_BYTES, 2 * 512 * status.st_blocks)

@@ -4,17 +4,23 @@
 The archive has no word for "changed since": so each look compares the short columns of all rows with those
 of the last look, and reads the documents of those runs that differ. A look is only taken when the database
 says that anything at all was written.
+
+Runs that can't be read are left out, and named: those of which `archive.rows` can make no record. Rows are
+only looked through for them where some can't be made columns of, or hold something of another type.
 """
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from sqlalchemy import DateTime, String, Text, cast, select, text, type_coerce
+from sqlalchemy import select, text
 
+from slamhive.analysis.columns import ColumnKind
 from slamhive.analysis.derived import SweepVersion, with_derived
 from slamhive.analysis.flattening import (
     LEFT_OUT,
@@ -28,21 +34,26 @@ from slamhive.analysis.flattening import (
     stack,
 )
 from slamhive.analysis.frame import Frame
-from slamhive.analysis.shapes import is_divided, join, names_of
+from slamhive.analysis.shapes import is_divided, join, loads, names_of
 from slamhive.archive import documents, schema
-from slamhive.archive.connection import reading
+from slamhive.archive.connection import reading, shown
+from slamhive.archive.documents import UNREADABLE, raw
+from slamhive.archive.rows import read_rows, read_runs, why
+from slamhive.model.errors import InputError
+from slamhive.model.results import Outcome, Phase
 from slamhive.model.uncollected import uncollected
-from slamhive.tables.snapshots import Loaded, derived, loads
+from slamhive.tables.snapshots import Loaded, derived
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from collections.abc import Set as AbstractSet
 
     import numpy.typing as npt
-    from sqlalchemy import ColumnElement, Connection, Engine, Row
+    from sqlalchemy import Connection, Engine, Row
 
     from slamhive.analysis.flattening import Part
     from slamhive.analysis.shapes import Names
+    from slamhive.model.leftout import LeftOut
 
 BATCH = 2000
 """Runs read at a time: their documents are what loading needs memory for."""
@@ -62,6 +73,11 @@ _RESULT_CHANGES = (
 )
 _RUN = ("id", *_CHANGES[:-1], *(name for name in OF_RUN.values() if name not in {"id", *_CHANGES}))
 _AS_THEY_ARE = frozenset({"labels", "evaluations"})
+_MAY_BE_MISSING = frozenset({"usage", "frames", "trajectory"})
+_LONG = 256
+_NONE = type(None)
+_WRITTEN = "1970", "9"
+_MOMENTS = datetime(1970, 1, 1), datetime(9000, 1, 1)  # noqa: DTZ001 - as the database has them
 _DOCUMENTS = (
     *("spec", "attributes", "labels", "metrics", "usage", "frames", "trajectory", "provenance"),
     "evaluations",
@@ -100,52 +116,72 @@ def load(engine: Engine, before: Loaded | None = None, stamp: tuple[int, ...] | 
         known = before.marks
         same = stamp is not None and stamp == before.stamp
         marks = known if same else _marks(connection) if known else None
-        sweeps, declared = _sweeps(connection), _declared(connection)
+        sweeps, odd = _sweeps(connection)
+        declared, more = _declared(connection)
+        odd += more
         if marks is not None and marks == known:
             found_now = before if sweeps == before.sweeps else derived(before, sweeps)
+            runs = [one for one in before.left_out if one.number is not None]
             if declared != found_now.frame.declared:
                 found_now = replace(found_now, frame=found_now.frame.declaring(declared))
-            return replace(found_now, stamp=stamp)
+            return replace(found_now, stamp=stamp, left_out=(*runs, *odd))
         changed = None if marks is None else [run for run, mark in marks.items() if known.get(run) != mark]
+        again = set(changed or ())
         fresh, found = [], {} if marks is None else marks
+        runs = [one for one in before.left_out if one.number in found and one.number not in again]
         shapes = _Shapes()
         for rows in _batches(connection, changed):
-            columns = list(zip(*rows, strict=True))
-            measured = list(zip(*_results(connection, columns[0]), strict=True))
+            measured = _results(connection, [row[0] for row in rows])
+            columns, held = _turned(rows), _turned(measured)
             _add_marks(found, [*columns[: len(_CHANGES)], columns[-1]], runs=True)
-            _add_marks(found, measured[: len(_RESULT_CHANGES)], runs=False)
-            fresh.append(_read(connection, columns, measured, shapes))
-    frame = _merge(before.frame, set(changed or ()), found, fresh, sweeps).declaring(declared)
-    return Loaded(frame, found, sweeps, stamp)
+            _add_marks(found, held[: len(_RESULT_CHANGES)], runs=False)
+            try:
+                part = _read(connection, columns, held, shapes)
+                left_out: list[LeftOut] = []
+            except UNREADABLE:
+                part, left_out = _read_some(connection, rows, measured, shapes)
+            fresh.append(part)
+            runs += left_out
+    frame = _merge(before.frame, again, found, fresh, sweeps).declaring(declared)
+    return Loaded(frame, found, sweeps, stamp, (*runs, *odd))
 
 
-def _sweeps(connection: Connection) -> tuple[SweepVersion, ...]:
+def _sweeps(connection: Connection) -> tuple[tuple[SweepVersion, ...], list[LeftOut]]:
     columns = schema.sweeps.c
     query = select(columns.uid, columns.name, columns.cluster, columns.namespace, columns.created)
-    return tuple(
-        SweepVersion(row.uid, row.name, row.cluster, row.namespace, row.created and row.created.timestamp())
-        for row in connection.execute(query.order_by(columns.uid))
+    found, left_out = read_rows(
+        connection,
+        query.order_by(columns.uid),
+        schema.sweeps,
+        lambda row: SweepVersion(**{**row, "created": row["created"] and row["created"].timestamp()}),
     )
+    return tuple(found), left_out
 
 
-def _declared(connection: Connection) -> dict[str, dict[str, str]]:
+def _declared(connection: Connection) -> tuple[dict[str, dict[str, str]], list[LeftOut]]:
     """Return the units of the parameters' columns by algorithm, as its latest manifest says them."""
     columns = schema.algorithms.c
     query = select(columns.name, columns.spec).order_by(columns.stored, columns.content_hash)
-    return {
-        name: {
-            f"parameters.{key}": str(one.get("unit") or "")
-            for key, one in (spec.get("parameters") or {}).items()
-        }
-        for name, spec in connection.execute(query)
-    }
+    found, left_out = read_rows(
+        connection,
+        query,
+        schema.algorithms,
+        lambda row: (
+            row["name"],
+            {
+                f"parameters.{key}": str(one.get("unit") or "")
+                for key, one in (row["spec"].get("parameters") or {}).items()
+            },
+        ),
+    )
+    return dict(found), left_out
 
 
 def _marks(connection: Connection) -> dict[int, int]:
     """Return a short mark of each run's look, by its id."""
     runs, results = schema.runs.c, schema.results.c
-    asked_for = [_cheap(connection, runs[name]) for name in ("id", *_CHANGES[:-1])]
-    query = select(*asked_for, _raw(connection, runs.evaluations)).order_by(runs.id)
+    asked_for = [raw(connection, runs[name]) for name in ("id", *_CHANGES)]
+    query = select(*asked_for).order_by(runs.id)
     measured = select(*(results[name] for name in _RESULT_CHANGES))
     marks: dict[int, int] = {}
     for asked in (query, measured):
@@ -189,10 +225,15 @@ def _numbers_of(values: Sequence[Any]) -> npt.NDArray[np.uint64]:
     if set(map(type, values)) <= {int, float, type(None)}:
         return np.array(values, dtype=np.float64).view(np.uint64)
     different = list(dict.fromkeys(values))
-    texts = [str(value).encode("utf-8", "replace") for value in different]
+    texts = [_short(str(value).encode("utf-8", "replace")) for value in different]
     numbers = dict(zip(different, _numbers_of_texts(texts).tolist(), strict=True))
     numbers[None] = _NOTHING
     return np.fromiter(map(numbers.__getitem__, values), np.uint64, len(values))
+
+
+def _short(text: bytes) -> bytes:
+    """Return a text, or the hash of a long one: all of them are laid out as long as the longest."""
+    return text if len(text) <= _LONG else hashlib.sha256(text).digest()
 
 
 def _numbers_of_texts(texts: Sequence[bytes]) -> npt.NDArray[np.uint64]:
@@ -209,10 +250,7 @@ def _numbers_of_texts(texts: Sequence[bytes]) -> npt.NDArray[np.uint64]:
 def _batches(connection: Connection, changed: Sequence[int] | None) -> Iterator[Sequence[Row[Any]]]:
     """Go through runs by their ids, or through all of them."""
     runs = schema.runs.c
-    columns = [
-        *(_cheap(connection, runs[name]) for name in _RUN),
-        *(_raw(connection, runs[name]) for name in _DOCUMENTS),
-    ]
+    columns = [raw(connection, runs[name]) for name in (*_RUN, *_DOCUMENTS)]
     if changed is not None:
         for start in range(0, len(changed), _SOME):
             wanted = changed[start : start + _SOME]
@@ -229,20 +267,8 @@ def _batches(connection: Connection, changed: Sequence[int] | None) -> Iterator[
 def _results(connection: Connection, ids: Sequence[int]) -> Sequence[Any]:
     results = schema.results.c
     wanted = results.run_id.between(ids[0], ids[-1]) if len(ids) > _SOME else results.run_id.in_(ids)
-    query = select(*(results[name] for name in _RESULT_CHANGES), _raw(connection, results["values"]))
+    query = select(*(raw(connection, results[name]) for name in (*_RESULT_CHANGES, "values")))
     return connection.execute(query.where(wanted).order_by(results.run_id, results.evaluation)).all()
-
-
-def _cheap(connection: Connection, column: ColumnElement[Any]) -> ColumnElement[Any]:
-    """Return a time as the database holds it, without SQLAlchemy reading it."""
-    if column.name not in TIMES:
-        return column
-    return type_coerce(column, String if connection.dialect.name == "sqlite" else DateTime)
-
-
-def _raw(connection: Connection, column: ColumnElement[Any]) -> ColumnElement[str]:
-    """Return a JSON column as the text that it is, without SQLAlchemy reading it."""
-    return cast(column, Text) if connection.dialect.name == "postgresql" else type_coerce(column, Text)
 
 
 @dataclass(frozen=True)
@@ -261,7 +287,7 @@ class _Shapes:
         self, connection: Connection, held: Sequence[Any], left_out: frozenset[str] = frozenset()
     ) -> Spread:
         """Return documents as columns."""
-        self._meet(connection, {item[0] for item in held if type(item) is list})
+        self._meet(connection, {item[0] for item in held if is_divided(item)})
         return Spread.of(held, self.names, left_out)
 
     def joined(self, connection: Connection, held: Sequence[Any]) -> list[Any]:
@@ -277,6 +303,60 @@ class _Shapes:
             self.names.update({number: names_of(shape) for number, shape in found.items()})
 
 
+def _read_some(
+    connection: Connection, rows: Sequence[Row[Any]], measured: Sequence[Row[Any]], shapes: _Shapes
+) -> tuple[Part, list[LeftOut]]:
+    """Return the rows of those runs that can be read, with those of their results, and the others."""
+    left_out: list[LeftOut] = []
+    for start in range(0, len(rows), _SOME):
+        ids = [row[0] for row in rows[start : start + _SOME]]
+        left_out += read_runs(connection, select(schema.runs).where(schema.runs.c.id.in_(ids))).left_out
+    gone = {one.number for one in left_out}
+    kept, of_kept = ([row for row in table if row[0] not in gone] for table in (rows, measured))
+    try:
+        return (_read(connection, _turned(kept), _turned(of_kept), shapes) if kept else ({}, 0)), left_out
+    except UNREADABLE as error:
+        raise InputError(
+            f"archive {shown(connection.engine.url)}: rows of it can't be read ({why(error)}); "
+            "`slamhive archive check` says more"
+        ) from error
+
+
+def _turned(rows: Sequence[Row[Any]]) -> list[Sequence[Any]]:
+    return list(zip(*rows, strict=True))
+
+
+def _require_kinds(runs: dict[str, Any], measured: Sequence[Sequence[Any]]) -> None:
+    """Check that columns hold what those of the tables are of: SQLite takes anything in any of them.
+
+    Raises:
+        TypeError, ValueError: one holds something else.
+    """
+    results = dict(zip(_RESULT_CHANGES, measured, strict=False))
+    for columns, table in ((runs, schema.runs), (results, schema.results)):
+        for name, wanted in documents.kinds(table):
+            if isinstance(wanted, tuple) and not set(map(type, columns.get(name, ()))) <= {*wanted, _NONE}:
+                raise TypeError(f"{name}: expected {wanted[0].__name__}")
+    if not set(runs["phase"]) <= set(Phase) or not set(results.get("outcome", ())) <= set(Outcome):
+        raise ValueError("a phase or an outcome that is none")
+    for name in TIMES:
+        held = [value for value in runs[name] if value is not None]
+        first, behind = _WRITTEN if held and isinstance(held[0], str) else _MOMENTS
+        if held and not first <= min(held) <= max(held) < behind:
+            raise ValueError(f"{name}: a time that is none of a run")
+
+
+def _require_documents(held: Sequence[Any], name: str) -> None:
+    """Check that documents are objects, or lists for intended evaluations and what is divided.
+
+    Raises:
+        TypeError: one is something else.
+    """
+    wanted = {list} if name == "evaluations" else {dict} if name in _AS_THEY_ARE else {dict, list}
+    if not set(map(type, held)) <= ({*wanted, _NONE} if name in _MAY_BE_MISSING else wanted):
+        raise TypeError(f"{name}: a document that is none")
+
+
 def _read(
     connection: Connection,
     columns: Sequence[Sequence[Any]],
@@ -285,18 +365,29 @@ def _read(
 ) -> Part:
     """Return the rows of some runs, with those of their results."""
     whole: dict[str, Any] = dict(zip((*_RUN, *_DOCUMENTS), columns, strict=True))
+    _require_kinds(whole, measured)
     for name in _DOCUMENTS:
         if name in _AS_THEY_ARE:
             whole[name] = _parsed(whole[name], partial(shapes.joined, connection))
+            _require_documents(whole[name], name)
         else:
-            whole[name] = shapes.spread(connection, _parsed(whole[name]))
+            held = _parsed(whole[name])
+            _require_documents(held, name)
+            whole[name] = shapes.spread(connection, held)
     found = [list(column) for column in measured] or [[] for _ in range(5)]
     known = set(whole["id"])
     if not known.issuperset(found[0]):
         kept = [place for place, run in enumerate(found[0]) if run in known]
         found = [[column[place] for place in kept] for column in found]
-    values = shapes.spread(connection, _parsed(found[-1]), LEFT_OUT)
-    return columns_of_runs(whole, Results(found[0], found[1], found[2], found[3], values))
+    held = _parsed(found[-1])
+    _require_documents(held, "values")
+    values = shapes.spread(connection, held, LEFT_OUT)
+    part = columns_of_runs(whole, Results(found[0], found[1], found[2], found[3], values))
+    for column in part[0].values():
+        for value in column.values if column.kind is ColumnKind.OTHER else ():
+            if isinstance(value, list | dict):
+                documents.require_shallow(value)
+    return part
 
 
 def _merge(
@@ -333,7 +424,10 @@ def _parsed(texts: Sequence[str | None], then: Callable[[list[Any]], list[Any]] 
     if 2 * len(set(texts[:_SAMPLE])) <= len(texts[:_SAMPLE]):  # counting all of them takes long
         different = dict.fromkeys(texts)
         asked = list(different) if 2 * len(different) < len(texts) else texts
-    found = then(loads("[" + ",".join([item or "null" for item in asked]) + "]"))
+    parsed = loads("[" + ",".join([item or "null" for item in asked]) + "]")
+    if len(parsed) != len(asked):
+        raise ValueError("a document that is several")
+    found = then(parsed)
     if asked is texts:
         return found
     return list(map(dict(zip(asked, found, strict=True)).__getitem__, texts))

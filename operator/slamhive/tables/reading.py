@@ -14,6 +14,7 @@ import numpy as np
 from slamhive.analysis.grouping import Groups, where_equal
 from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError
+from slamhive.model.leftout import warn_of
 from slamhive.model.results import Outcome
 from slamhive.tables import snapshots
 
@@ -61,7 +62,7 @@ def read_archive(url: str, cache: Path | None = None) -> Frame:
 
 
 def read_table(url: str, cache: Path | None = None) -> Loaded:
-    """Read all runs and sweeps of an archive.
+    """Read all runs and sweeps of an archive; warns of those that can't be read.
 
     Args:
         url: the archive's database URL.
@@ -75,7 +76,7 @@ def read_table(url: str, cache: Path | None = None) -> Loaded:
     kept = snapshots.file_for(cache, url) if cache is not None else None
     same = snapshots.unchanged(kept, stamp) if kept is not None else None
     if same is not None:
-        return same
+        return _warned(same, url)
     # A fifth of a second of imports, which a table that is unchanged needs not.
     from slamhive.archive.connection import connect  # noqa: PLC0415
     from slamhive.tables.loading import load  # noqa: PLC0415
@@ -86,9 +87,17 @@ def read_table(url: str, cache: Path | None = None) -> Loaded:
         loaded = load(engine, before, stamp)
         if kept is not None:
             snapshots.keep(kept, loaded, before)
-        return loaded
+        return _warned(loaded, url)
     finally:
         engine.dispose()
+
+
+def _warned(loaded: Loaded, url: str) -> Loaded:
+    if loaded.left_out:
+        from slamhive.archive.connection import shown  # noqa: PLC0415 - as above
+
+        warn_of(loaded.left_out, shown(url))
+    return loaded
 
 
 def with_figure(frame: Frame, metric: str) -> tuple[Frame, list[str]]:

@@ -14,7 +14,7 @@ import tempfile
 import time
 import zipfile
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +24,10 @@ from slamhive import __version__
 from slamhive.analysis.columns import Column, ColumnKind
 from slamhive.analysis.derived import SweepVersion, with_derived
 from slamhive.analysis.frame import DERIVED, Frame
+from slamhive.analysis.shapes import loads
+from slamhive.model.leftout import LeftOut
 
-try:
-    from orjson import loads as loads  # noqa: PLC0414 - others take it from here
-except ModuleNotFoundError:  # the extra is not installed: slower, the same
-    from json import loads  # type: ignore[assignment]
-
-VERSION = 7
+VERSION = 8
 _SETTLED_NANOSECONDS = 2 * 10**9
 LEAST_ROWS = 5000
 """Rows from which on a cache is worth its place where it can't spare the database itself."""
@@ -45,12 +42,14 @@ class Loaded:
         marks: what each run looked like in short, by its id.
         sweeps: the versions of sweeps; None where the columns that follow from them are missing.
         stamp: what the database's files looked like then; None where that says nothing.
+        left_out: rows that can't be read.
     """
 
     frame: Frame = field(default_factory=lambda: Frame({}, 0))
     marks: dict[int, int] = field(default_factory=dict)
     sweeps: tuple[SweepVersion, ...] | None = None
     stamp: tuple[int, ...] | None = None
+    left_out: tuple[LeftOut, ...] = ()
 
 
 def derived(before: Loaded, sweeps: tuple[SweepVersion, ...]) -> Loaded:
@@ -58,7 +57,7 @@ def derived(before: Loaded, sweeps: tuple[SweepVersion, ...]) -> Loaded:
     frame = before.frame
     columns = {name: frame.column(name) for name in frame.stored}
     found = with_derived(columns, len(frame), sweeps).declaring(frame.declared)
-    return Loaded(found, before.marks, sweeps, before.stamp)
+    return replace(before, frame=found, sweeps=sweeps)
 
 
 def file_for(folder: Path, url: str) -> Path:
@@ -115,6 +114,7 @@ def save(path: Path, loaded: Loaded) -> None:
         "sweeps": loaded.sweeps,
         "declared": frame.declared,
         "stamp": loaded.stamp,
+        "leftOut": loaded.left_out,
     }
     arrays["head"] = _text_of(head)
     with suppress(OSError):
@@ -190,11 +190,13 @@ def _read(path: Path) -> tuple[Loaded, tuple[SweepVersion, ...] | None] | None:
                 columns[str(item["name"])] = _column(kind, arrays[f"c{number}"], values, int(head["rows"]))
             marks = dict(zip(arrays["ids"].tolist(), arrays["marks"].tolist(), strict=True))
             told, declared = head["sweeps"], dict(head["declared"])
+            left_out = tuple(LeftOut(*one) for one in head["leftOut"])
             sweeps = None if told is None else tuple(SweepVersion(*one) for one in told)
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
         return None
     frame = Frame(columns, int(head["rows"]), declared=declared)
-    return Loaded(frame, marks, stamp=tuple(head["stamp"]) if head["stamp"] else None), sweeps
+    stamp = tuple(head["stamp"]) if head["stamp"] else None
+    return Loaded(frame, marks, stamp=stamp, left_out=left_out), sweeps
 
 
 def _text_of(value: Any) -> Any:

@@ -21,6 +21,7 @@ from slamhive.archive.connection import connect, file_of, reading, require_versi
 from slamhive.dashboard.problems import SourceUnavailable
 from slamhive.dashboard.sources.underway import UnderWay
 from slamhive.model.errors import SlamHiveError
+from slamhive.model.leftout import sentences
 from slamhive.runfiles.homefiles import HomeFiles
 from slamhive.tables import snapshots
 from slamhive.tables.loading import change_mark, load
@@ -187,9 +188,10 @@ class ArchiveData:
         return self._engine is None and self.problem is None
 
     @property
-    def said(self) -> str | None:
-        """Return the sentence on the database's present trouble: it is missing, or does not answer."""
-        return self.problem or (_LATE if self._late else None)
+    def said(self) -> tuple[str, ...]:
+        """Return sentences on the database's present trouble, and on what of it can't be read."""
+        trouble = self.problem or (_LATE if self._late else None)
+        return (*((trouble,) if trouble else ()), *sentences(self._loaded.left_out))
 
     async def follow(self, executor: Executor | None, *, again: bool = False) -> None:
         """Look in a thread, and don't wait for one that takes long where there is something to show.
@@ -345,8 +347,7 @@ class Workstation:
     async def fresh(self) -> Snapshot:
         """Return the archive as it is now."""
         await self._data.follow(self._executor)
-        problems = (self._data.said,) if self._data.said else ()
-        found = Snapshot(self._data.frame, self._data.revision, problems, asked=self._data.asked)
+        found = Snapshot(self._data.frame, self._data.revision, self._data.said, asked=self._data.asked)
         return await self._with_what_goes_on(found)
 
     async def _with_what_goes_on(self, archived: Snapshot) -> Snapshot:

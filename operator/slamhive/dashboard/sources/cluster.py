@@ -252,8 +252,8 @@ class ClusterSource:
 
     def _problems(self) -> tuple[str, ...]:
         sentences = [sentence for sentence in self._troubles.values() if sentence]
-        if self._archive is not None and self._archive.said:
-            sentences.append(self._archive.said)
+        if self._archive is not None:
+            sentences += self._archive.said
         if self._shelf is not None and (told := self._offloading.sentence()):
             sentences.append(told)
         return tuple(dict.fromkeys(sentences[:3]))

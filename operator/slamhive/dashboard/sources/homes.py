@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import asyncio
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from slamhive.dashboard.sources.archived import Snapshot, Workstation
+from slamhive.model.errors import SlamHiveError
 from slamhive.tables.homes import COLUMN, OWN, plain_name, together, told_name, uid_in
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from concurrent.futures import Executor
     from pathlib import Path
 
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from slamhive.runfiles.artifacts import ArtifactFolder
     from slamhive.runfiles.ground_truth import DatasetTruth
     from slamhive.tables.homes import Beside
+
+Item = TypeVar("Item")
 
 _REFERENCES = {"algorithm": "algorithmRef", "dataset": "datasetRef"}
 
@@ -127,7 +130,7 @@ class Homes:
         """Return the sweeps of all homes, one that several know once."""
         found: dict[tuple[str, str], SweepRecord] = {}
         for label, station in self._stations.items():
-            for sweep in station.sweeps():
+            for sweep in self._held(label, station.sweeps):
                 name = self._told("sweep", sweep.name, label)
                 found.setdefault((sweep.uid, name), sweep.replace(name=name))
         return list(found.values())
@@ -137,10 +140,20 @@ class Homes:
         column = kind.lower()
         found: dict[tuple[str, str], CatalogEntry] = {}
         for label, station in self._stations.items():
-            for entry in station.catalog(kind):
+            for entry in self._held(label, partial(station.catalog, kind)):
                 name = self._told(column, entry.name, label)
                 found.setdefault((name, entry.content_hash), entry.replace(name=name))
         return list(found.values())
+
+    @staticmethod
+    def _held(label: str, ask: Callable[[], list[Item]]) -> list[Item]:
+        """Return the items of a home; none of another one that does not answer, as its problem says."""
+        try:
+            return ask()
+        except SlamHiveError:
+            if label == OWN:
+                raise
+            return []
 
     def place(self, record: RunRecord) -> ArtifactFolder | None:
         """Return the folder that holds a run's files, if it is there."""

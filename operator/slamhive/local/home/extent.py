@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
-_BLOCK = 512
+BLOCK_BYTES = 512
+"""Bytes of a block as the system counts them."""
 
 
 class Extent(NamedTuple):
@@ -46,15 +47,18 @@ class DiskTally:
 
     def of(self, *paths: Path) -> Extent:
         """Return the room of files and folders beyond what was counted before; none where nothing is."""
+        return self.count(status for path in paths for _, status in below(path))
+
+    def count(self, found: Iterable[os.stat_result]) -> Extent:
+        """Return the room of files by their states, as ``of``."""
         size = files = 0
-        for path in paths:
-            for status in _below(path):
-                files += 1
-                size += self._counted(status)
+        for status in found:
+            files += 1
+            size += self._counted(status)
         return Extent(size, files)
 
     def _counted(self, status: os.stat_result) -> int:
-        size = status.st_blocks * _BLOCK
+        size = status.st_blocks * BLOCK_BYTES
         if status.st_nlink == 1:
             return size
         key = status.st_dev, status.st_ino
@@ -67,14 +71,14 @@ def total(extents: Iterable[Extent]) -> Extent:
     return sum(extents, Extent())
 
 
-def _below(path: Path) -> Iterator[os.stat_result]:
-    """Yield the state of a file, or of all files below a folder, however deep."""
+def below(path: Path) -> Iterator[tuple[str, os.stat_result]]:
+    """Yield the path and the state of a file, or of all files below a folder, however deep."""
     waiting: list[str] = []
     with suppress(OSError):
         if path.is_dir() and not path.is_symlink():
             waiting.append(str(path))
         else:
-            yield path.lstat()
+            yield str(path), path.lstat()
     while waiting:
         # A folder that an algorithm locked, or that goes meanwhile, counts as empty.
         with suppress(OSError), os.scandir(waiting.pop()) as found:
@@ -83,4 +87,4 @@ def _below(path: Path) -> Iterator[os.stat_result]:
                     waiting.append(entry.path)
                 else:
                     with suppress(OSError):
-                        yield entry.stat(follow_symlinks=False)
+                        yield entry.path, entry.stat(follow_symlinks=False)

@@ -8,17 +8,19 @@ here gets ``@`` and 8 digits of its content, as earlier versions have (`local.ch
 
 The files of a run are copied into ``.merging`` and renamed to their place, with a note of where they came
 from; then its record is written. Wherever a merge ends, the next one goes on: a record has its files, and
-files without a record are known by their note.
+files without a record are known by their note. Holes in files stay holes. What makes a run larger than any
+run's output may be is not copied, and nothing is where there is no room for all of it.
 """
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
 import sqlite3
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -29,10 +31,12 @@ from slamhive.archive.schema import VERSION
 from slamhive.archive.upgrading import copy_database, upgrade
 from slamhive.contract.files import read_regular
 from slamhive.data.files.once import settle
-from slamhive.local.home.extent import DiskTally, Extent, total
+from slamhive.local.home.extent import BLOCK_BYTES, DiskTally, Extent, below, total
 from slamhive.local.home.removed import remove, run_parts, write_whole
+from slamhive.model.base import quantity
 from slamhive.model.errors import SystemFault
 from slamhive.model.results import IMPORTED
+from slamhive.monitor.spec import OUTPUT_LIMIT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -46,6 +50,7 @@ ASIDE = ".merging"
 NOTE = "merged.json"
 _MOST = 4096
 _DIGITS = 8
+_LIMIT_BYTES = int(quantity(OUTPUT_LIMIT))
 
 Parts = tuple[str, str]
 """The way from ``runs`` to a run's folder: SWEEP and RUN."""
@@ -85,6 +90,9 @@ class Coming:
         source: its folder there; None where it has none.
         target: where that goes; None where nothing is to be copied.
         extent: what it takes.
+        room: bytes that a copy of it takes.
+        left_out: files that are not copied, as with them it is larger than an output may be.
+        hollow: files with holes.
     """
 
     uid: str
@@ -92,6 +100,9 @@ class Coming:
     source: Path | None
     target: Parts | None
     extent: Extent
+    room: int = 0
+    left_out: frozenset[str] = frozenset()
+    hollow: frozenset[str] = frozenset()
 
 
 @dataclass
@@ -105,6 +116,7 @@ class Merge:
         aside: sentences on what is kept beside, as something else stands here.
         without: number of coming runs whose files are not there.
         unread: files that could not be read, and were not copied.
+        left_out: sentences on files that are not copied, as they are beyond the limit of an output.
     """
 
     coming: list[Coming] = field(default_factory=list)
@@ -113,6 +125,7 @@ class Merge:
     aside: list[str] = field(default_factory=list)
     without: int = 0
     unread: list[str] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
 
     @property
     def extent(self) -> Extent:
@@ -179,8 +192,14 @@ def merge(
         step: called with the number of runs done so far.
 
     Raises:
-        SystemFault: the disk refuses, or a file is gone.
+        SystemFault: there is no room for it, the disk refuses, or a file is gone.
     """
+    room, free = sum(one.room for one in plan.coming), shutil.disk_usage(home.path).free
+    if room > free:
+        raise SystemFault(
+            f"{home.path}: has {free >> 20:,} MiB of room, and the files of the runs to merge take "
+            f"{room >> 20:,} MiB: nothing was merged"
+        )
     catalog = {kind: _by_hash(other.archive, kind) for kind in ("Algorithm", "Dataset")}
     used = other.archive.used(one.uid for one in plan.coming)
     origin = other.archive.identity
@@ -192,7 +211,7 @@ def merge(
     for number, one in enumerate(plan.coming, 1):
         if one.source is not None and one.target is not None:
             # Files before the record: what a record says to be there is there.
-            plan.unread += _bring(home.path, one.source, one.target, origin)
+            plan.unread += _bring(home.path, one, one.source, one.target, origin)
         algorithm, dataset = used.get(one.uid, (None, None))
         archive.put_run(
             one.record, catalog["Algorithm"].get(algorithm or ""), catalog["Dataset"].get(dataset or "")
@@ -228,6 +247,7 @@ class _Planner:
         for record in archive.runs():
             self._mine[_key(record)] = record
             self._uids.add(record.uid)
+        self._uids |= {one.uid for one in archive.left_out.values() if one.uid is not None}
         self._origin = other.archive.identity
         self._places: dict[Parts, Parts] = {}
         self._taken: set[Parts] = set()
@@ -259,8 +279,36 @@ class _Planner:
         placed, source, target = self._place(record, digits)
         # As if it were here already: the other archive may hold one run under two UIDs.
         self._mine[_key(record)] = placed.replace(uid=uid)
-        extent = self._tally.of(source) if source is not None and target is not None else Extent()
-        self._found.coming.append(Coming(record.uid, placed.replace(uid=uid), source, target, extent))
+        coming = Coming(record.uid, placed.replace(uid=uid), source, target, Extent())
+        if source is not None and target is not None:
+            coming = self._measured(coming, source)
+        self._found.coming.append(coming)
+
+    def _measured(self, coming: Coming, source: Path) -> Coming:
+        """Return a run that comes with what its files take, and which of them are too much."""
+        files, left_out = list(below(source)), set()
+        length = sum(status.st_size for _, status in files)
+        for path, status in sorted(files, key=lambda file: file[1].st_size, reverse=True):
+            if length > _LIMIT_BYTES:
+                length -= status.st_size
+                left_out.add(path)
+                self._found.left_out.append(
+                    f"{path}: is not copied, as with its {status.st_size >> 20:,} MiB the run's files are "
+                    f"beyond the {_LIMIT_BYTES >> 20:,} MiB that an output may have"
+                )
+        taken = {
+            path: (status, min(status.st_size, status.st_blocks * BLOCK_BYTES))
+            for path, status in files
+            if path not in left_out
+        }
+        return replace(
+            coming,
+            extent=self._tally.count(status for _, status in files),
+            # Files of one content may be one file of several names there, and are copied name by name.
+            room=sum(size for _, size in taken.values()),
+            left_out=frozenset(left_out),
+            hollow=frozenset(path for path, (status, size) in taken.items() if size < status.st_size),
+        )
 
     def _place(self, record: RunRecord, digits: str) -> tuple[RunRecord, Path | None, Parts | None]:
         """Return a run as it has its files here, their folder there, and where that is copied to."""
@@ -346,7 +394,7 @@ def _by_hash(archive: Archive, kind: str) -> dict[str, CatalogEntry]:
     return {entry.content_hash: entry for entry in archive.catalog(kind)}
 
 
-def _bring(home: Path, source: Path, target: Parts, identity: str) -> list[str]:
+def _bring(home: Path, coming: Coming, source: Path, target: Parts, identity: str) -> list[str]:
     """Copy a run's folder to its place, whole or not at all; returns files that can't be read."""
     place, aside = home.joinpath("runs", *target), home / ASIDE / "run"
     unread: list[str] = []
@@ -356,16 +404,23 @@ def _bring(home: Path, source: Path, target: Parts, identity: str) -> list[str]:
 
     def copy(one: str, other: str) -> None:
         try:
-            shutil.copy2(one, other, follow_symlinks=False)
+            (_copy_hollow if one in coming.hollow else shutil.copy2)(one, other, follow_symlinks=False)
         except PermissionError:
             unread.append(one)
+
+    def passed_over(folder: str, names: list[str]) -> set[str]:
+        return _special(folder, names) | {
+            name
+            for name in names
+            if os.path.join(folder, name) in coming.left_out  # noqa: PTH118 - many
+        }
 
     try:
         if aside.exists():
             remove(aside)
         aside.parent.mkdir(parents=True, exist_ok=True)
         # Links stay links: behind one there may be a recording of 100 GB that is not the run's.
-        shutil.copytree(source, aside, symlinks=True, copy_function=copy, ignore=_special)
+        shutil.copytree(source, aside, symlinks=True, copy_function=copy, ignore=passed_over)
         write_whole(aside / NOTE, json.dumps(_origin(identity, parts)))
         # On the disk before it gets its name: what has a name is whole, also after a power cut.
         settle(aside, read_only=False)
@@ -377,6 +432,25 @@ def _bring(home: Path, source: Path, target: Parts, identity: str) -> list[str]:
     except OSError as error:
         raise SystemFault(f"{error.filename or source}: {error.strerror or error}") from error
     return unread
+
+
+def _copy_hollow(source: str, target: str, *, follow_symlinks: bool) -> None:
+    """Copy a file with its times and rights as ``shutil.copy2``, its holes as holes."""
+    with open(source, "rb") as origin, open(target, "xb") as copy:  # noqa: PTH123 - as shutil does
+        end, there, size = 0, copy.fileno(), os.fstat(origin.fileno()).st_size
+        os.ftruncate(there, size)
+        while end < size:
+            try:
+                start = os.lseek(origin.fileno(), end, os.SEEK_DATA)
+            except OSError as error:
+                if error.errno != errno.ENXIO:
+                    raise
+                break  # nothing but a hole is left
+            end = min(os.lseek(origin.fileno(), start, os.SEEK_HOLE), size)
+            os.lseek(there, start, os.SEEK_SET)
+            while start < end and (done := os.sendfile(there, origin.fileno(), start, end - start)):
+                start += done
+    shutil.copystat(source, target, follow_symlinks=follow_symlinks)
 
 
 def _special(folder: str, names: list[str]) -> set[str]:

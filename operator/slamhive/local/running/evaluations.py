@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from slamhive.analysis.measuring import SETTINGS_KEY, intended_evaluations, settings_hash
 from slamhive.local.home.removed import absence
 from slamhive.local.running.evaluating import TrajectoryEvaluator
-from slamhive.model.errors import SlamHiveError, SystemFault, sentence
+from slamhive.model.errors import InputError, SlamHiveError, SystemFault, sentence
 from slamhive.model.results import NOT_EVALUATED, Phase, RunRecord
 from slamhive.model.sensors import SensorMode
 
@@ -93,8 +93,10 @@ def measure_record(
     if path is None:
         gone = absence(bench.home.path, record.folder)
         return Unmeasured(gone or "its trajectory is not on this machine any more")
-    dataset, known = record.spec["datasetRef"]["name"], record.provenance.dataset_sha256
+    dataset, known = (record.spec.get("datasetRef") or {}).get("name"), record.provenance.dataset_sha256
     try:
+        if dataset is None:
+            raise InputError("its record names no dataset")
         # Measured against a ground truth of later, an old trajectory would get errors that it doesn't have.
         if known is not None and known != bench.checksum(dataset):
             return Unmeasured(f"dataset {dataset!r} has changed since this run was made")
@@ -117,8 +119,10 @@ def _intend(
 ) -> None:
     """Note an intended evaluation at a run: if the run failed, it counts as failed there."""
     dataset = None
-    with suppress(SlamHiveError):
+    with suppress(SlamHiveError, KeyError):
         dataset = bench.workshop.dataset(record.spec["datasetRef"]["name"]).dataset.spec
+    if record.spec.get("sensors") not in set(SensorMode):  # as of a record of another program
+        return
     found = intended_evaluations(settings, SensorMode(record.spec["sensors"]), dataset, name)
     if not set(found) <= set(record.evaluations):
         bench.archive.put_evaluations(record.uid, found)

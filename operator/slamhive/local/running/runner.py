@@ -15,6 +15,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Protocol
 
 from slamhive.archive import CatalogEntry, SweepRecord
+from slamhive.archive.patience import Patience
 from slamhive.engine import PointState, StartPoints, StopPoints, SweepObserved, Verdict, decide_sweep
 from slamhive.local.home.changes import set_aside
 from slamhive.local.home.claims import Claims
@@ -201,6 +202,7 @@ class Runner:
         """
         # First of all: what a killed slamhive left running would disturb what is measured now.
         claims = self._claims
+        self._bench.archive.patience = Patience(self._bench.tell, lambda: self._interrupted)
         self._bench.home.leases.tidy()
         end_left_behind(self._bench.home.path / "runs", claims.is_at_work)
         sweep_stale_cgroups()
@@ -216,6 +218,7 @@ class Runner:
         except GivenUp:
             pass  # a dataset that was made to know what is stale
         finally:
+            self._bench.archive.patience = None
             claims.give_back_all()
         return self._interrupted
 
