@@ -19,7 +19,7 @@ from slamhive.data.files.fetching import (
     one_at_a_time,
     partial_path,
 )
-from slamhive.data.files.https import open_url
+from slamhive.data.files.https import open_url, printable
 from slamhive.data.files.partial import Partial
 from slamhive.model.errors import DataError, SystemFault
 
@@ -80,7 +80,7 @@ def fetch_members(
                 fetch_span(wanted, [url], partial, span, FetchProgress(count, progress.notify))
                 before += span[1] - span[0]
             partial.flush()
-        except zipfile.BadZipFile as error:
+        except (zipfile.BadZipFile, NotImplementedError) as error:
             partial.forget()
             raise DataError(f"{wanted.what}: {url}: is a damaged zip archive: {error}") from None
         finally:
@@ -103,10 +103,10 @@ def _sending_parts(wanted: WantedFile) -> str | None:
 def _spans(archive: zipfile.ZipFile, names: Sequence[str], what: str) -> list[Span]:
     """Return the spans of members in an archive, near ones together."""
     infos = sorted(archive.infolist(), key=lambda info: info.header_offset)
-    ends = [info.header_offset for info in infos[1:]] + [archive.start_dir]
+    ends = [*(info.header_offset for info in infos[1:]), archive.start_dir]
     spans: list[Span] = []
     missing = set(names)
-    for info, end in zip(infos, ends, strict=True):
+    for info, end in zip(infos, ends, strict=False):  # an empty archive has an end as well
         matching = next(
             (name for name in names if not name or (info.filename + "/").startswith(f"{name}/")), None
         )
@@ -118,7 +118,7 @@ def _spans(archive: zipfile.ZipFile, names: Sequence[str], what: str) -> list[Sp
         else:
             spans.append((info.header_offset, end))
     if missing:
-        some = ", ".join(info.filename for info in infos[:5])
+        some = printable(", ".join(info.filename for info in infos[:5]))
         raise DataError(f"{what}: has no {', '.join(sorted(missing))} in it; it has: {some}, …")
     return spans
 
