@@ -279,7 +279,10 @@ class Liar:
                 raise FaultError("bytes that no answer had")
             if all(sent.total not in {None, len(data)} for sent in run):
                 raise FaultError(f"{len(data)} bytes, and {run[0].total} were told")
-        if not any(sent.ends for sent in runs[-1]) and not any("no end was told" in words for words in said):
+        told = [
+            sent for run in runs for sent in run if sent.total is not None or (run is runs[-1] and sent.ends)
+        ]
+        if not told and not any("no end was told" in words for words in said):
             raise FaultError("an end that nobody told, without a word")
         for one, other in itertools.combinations(runs, 2):
             if all(mine.contradicts(theirs) for mine in one for theirs in other):

@@ -245,6 +245,19 @@ def test_halves_of_two_files_are_never_joined(large: Any, tmp_path: Path, known_
     assert "is another file now" in said[0]
 
 
+def test_an_answer_without_marks_makes_none_forgotten(large: Any, tmp_path: Path) -> None:
+    class Changing(list[Any]):
+        def pop(self, at: Any = -1) -> Any:
+            large.heeds, large.known_by = False, "nothing" if len(self) == 2 else "tag"
+            if len(self) == 1:
+                (large.folder / "large.bag").write_bytes(LARGE[::-1])
+            return super().pop(at)
+
+    large.drops = Changing([1 << 20, 1 << 20])  # the first one has a mark, the second none, the third another
+    fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+    assert (tmp_path / "large.bag").read_bytes() == LARGE[::-1]
+
+
 @pytest.mark.parametrize("known_by", ["nothing", "weak"])
 def test_a_file_without_marks_is_begun_anew_by_the_next_process(
     large: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, known_by: str
