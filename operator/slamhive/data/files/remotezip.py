@@ -22,6 +22,7 @@ from slamhive.data.files.fetching import (
 )
 from slamhive.data.files.https import open_url, printable
 from slamhive.data.files.partial import Partial
+from slamhive.data.files.unpacking import DIRECTORY_BYTES, MeteredFile
 from slamhive.model.errors import DataError, SystemFault
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ def fetch_members(
             if not zipfile.is_zipfile(remote):
                 return None
             remote.seek(0)
-            with zipfile.ZipFile(remote) as archive:
+            with zipfile.ZipFile(MeteredFile(remote, DIRECTORY_BYTES)) as archive:  # type: ignore[arg-type]
                 spans = _spans(archive, names, wanted.what)
             needed = sum(end - first for first, end in spans)
             before = 0
@@ -82,7 +83,7 @@ def fetch_members(
                 fetch_span(wanted, [url], partial, span, FetchProgress(count, progress.notify))
                 before += span[1] - span[0]
             partial.flush()
-        except (zipfile.BadZipFile, NotImplementedError) as error:
+        except (zipfile.BadZipFile, NotImplementedError, ValueError) as error:
             partial.forget()
             raise DataError(f"{wanted.what}: {url}: is a damaged zip archive: {error}") from None
         finally:
