@@ -26,6 +26,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 from slamhive.data.files.fetching import LEFT_BYTES
+from slamhive.data.files.https import printable
 from slamhive.data.files.partial import disk_words
 from slamhive.model.errors import DataError, SystemFault
 
@@ -196,7 +197,7 @@ def _unpack(archive: Path, title: str, wanted: Iterable[Sequence[str]], work: _U
     except _DAMAGES as error:
         raise DamagedArchiveError(f"{title}: {_damage(archive, error)}") from None
     if missing:
-        some = ", ".join(list(seen)[:_SHOWN]) + (", …" if len(seen) > _SHOWN else "")
+        some = printable(", ".join(list(seen)[:_SHOWN])) + (", …" if len(seen) > _SHOWN else "")
         raise DataError(f"{title}: has no {', '.join(sorted(missing))}; it has: {some or 'nothing'}")
 
 
@@ -208,7 +209,7 @@ def _damage(archive: Path, error: Exception) -> str:
         return "is a zip archive whose end is missing"
     if isinstance(error, tarfile.ReadError) and "\n" in str(error):
         return "is damaged, or no archive: none of zip, tar, tgz, tar.bz2, tar.xz, 7z"
-    return f"is damaged, or no archive that can be read: {error or type(error).__name__}"
+    return f"is damaged, or no archive that can be read: {printable(str(error)) or type(error).__name__}"
 
 
 class ArchiveMember(NamedTuple):
@@ -277,7 +278,8 @@ def _of_zip(opened: zipfile.ZipFile, info: zipfile.ZipInfo) -> ArchiveMember:
     if stat.S_ISLNK(mode):
         linked = opened.read(info)[:4096].decode("utf-8", "replace") if info.file_size <= 4096 else "/"
         return ArchiveMember(info.filename, "link", lambda: opened.open(info), linked)
-    return ArchiveMember(info.filename, "folder" if info.is_dir() else "file", lambda: opened.open(info))
+    kind = "folder" if info.filename.endswith("/") else "file"
+    return ArchiveMember(info.filename, kind, lambda: opened.open(info))
 
 
 def _of_tar(tar: tarfile.TarFile, info: tarfile.TarInfo) -> ArchiveMember:
