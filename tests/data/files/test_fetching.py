@@ -321,6 +321,18 @@ def test_a_known_size_is_an_end(large: Any, tmp_path: Path) -> None:
         fetching.fetch_file(wanted(large, size=4_000_000), tmp_path / "other.bag")
 
 
+def test_a_size_that_was_told_before_nothing_came_is_forgotten(large: Any, tmp_path: Path) -> None:
+    class Changing(list[Any]):
+        def pop(self, at: Any = -1) -> Any:
+            (large.folder / "large.bag").write_bytes(LARGE + LARGE)
+            large.known_by, large.measured = "nothing", False
+            return super().pop(at)
+
+    large.known_by, large.drops = "nothing", Changing([0])
+    fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+    assert (tmp_path / "large.bag").read_bytes() == LARGE + LARGE
+
+
 def test_of_a_file_that_became_empty_nothing_is_kept(large: Any, tmp_path: Path) -> None:
     large.drops = Replacing(large.folder / "large.bag", [1 << 20], b"")
     assert fetching.fetch_file(wanted(large), tmp_path / "a.bag") == hashlib.sha256(b"").hexdigest()

@@ -243,6 +243,8 @@ def fetch_span(  # noqa: PLR0917 - what, from where, to where, which part
                 # Bytes are progress, answers are none: a file that changes each time never comes to its end.
                 if partial.held >= most + STALL_BYTES:
                     tries, most = list(PAUSES), partial.held
+                if span[1] is None and not partial.spans:
+                    partial.forget()  # a size that was told is of a file of which nothing came
                 if not isinstance(error, Interrupted) or not tries:
                     problems.append(f"{url}: {error}")
                     break
