@@ -574,7 +574,7 @@ def test_what_a_library_meets_in_an_archive_is_its_damage(
 ) -> None:
     monkeypatch.setattr(tarfile.TarFile, "next", Mock(side_effect=error))
     archive = tarred(tmp_path / "a.tar", [named("a")], {})
-    with pytest.raises(unpacking.DamagedArchiveError, match=f": {error or 'MemoryError'}$"):
+    with pytest.raises(unpacking.DamagedArchiveError, match=f": {str(error) or 'MemoryError'}$"):
         unpack(archive, [""], tmp_path / "out")
 
 
