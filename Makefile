@@ -32,7 +32,7 @@ help:
 	@echo 'make pins    versions and hashes of all Python packages'
 	@echo 'make audit   known vulnerabilities of all packages'
 	@echo 'make cluster-up, cluster-down   a real Kubernetes for tests, on this machine'
-	@echo 'make fuzz    ten minutes of broken files for all readers, then many made-up inputs for all else'
+	@echo 'make fuzz    ten minutes each of broken files for all readers, servers that lie and made-up archives, then many made-up inputs for all else'
 	@echo 'make fuzz-api   five minutes of made-up questions for the API, over 80,000 runs'
 	@echo 'make fuzz-cluster   the operator killed, and sweeps deleted, at each single side effect; all behaviours in containers'
 	@echo 'make coverage   which modules make test covers by less than 80 %, lines and branches'
@@ -108,6 +108,8 @@ bench-scale: install
 
 fuzz: install
 	$(BIN)/python tests/fuzz/readers.py --seconds 600
+	$(BIN)/python tests/fuzz/servers.py --seconds 600
+	$(BIN)/python tests/fuzz/archives.py --seconds 600
 	SLAMHIVE_EXAMPLES=thorough $(BIN)/python -m pytest -m hypothesis $(TESTS)
 
 fuzz-api: install

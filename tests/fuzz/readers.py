@@ -17,7 +17,6 @@ import hashlib
 import io
 import json
 import random
-import resource
 import signal
 import sys
 import tempfile
@@ -25,13 +24,17 @@ import time
 import traceback
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+sys.path.append(str(Path(__file__).parent))
+
+from drawing import HANG_SECONDS, bound
 
 from slamhive_eval import (
     EvaluationError,
@@ -53,8 +56,6 @@ if TYPE_CHECKING:
 
 CORPUS = Path(__file__).with_name("corpus")
 """Files that once failed: DIGEST-NAME.kept, with the name that they were read by."""
-HANG_SECONDS = 60
-MEMORY_BYTES = 6 << 30
 AWKWARD = (
     *(b"nan", b"inf", b"-inf", b"1e400", b"-0", b"1e-320", b"0x1", b"1_0", b"", b"1.5.2", b"1d3", b"(1+2j)"),
     *(
@@ -258,11 +259,6 @@ def check(path: Path, rng: random.Random) -> None:
         check_trajectory(path, rng)
 
 
-def hang(*_: object) -> NoReturn:
-    """Stop a reader that doesn't come back; the handler of the alarm signal."""
-    raise TimeoutError(f"no answer within {HANG_SECONDS} s")
-
-
 class Reading:
     """Reads broken files and notes what fails.
 
@@ -341,8 +337,7 @@ def main() -> int:
     seed = time.time_ns() % 2**32 if asked.seed is None else asked.seed
     print(f"seed {seed}", flush=True)  # noqa: T201
     rng = random.Random(seed)
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
-    signal.signal(signal.SIGALRM, hang)
+    bound()
     with tempfile.TemporaryDirectory() as folder:
         reading = Reading(Path(folder), asked.keep)
         reading.corpus()

@@ -29,16 +29,18 @@ class Site:
         folder: Files by their paths.
         url: Its address.
         by_ranges: Whether parts are sent.
-        known_by: Marks of a file: ``tag``, ``weak`` tag, ``time`` of its last change, or ``nothing``.
-    heeds: Whether If-Range is looked at.
-    measured: Whether answers have a length; else they end with the connection.
+        known_by: Marks of a file: ``tag``, ``weak`` tag, ``folded`` tag of two lines, ``time`` of its last
+            change, or ``nothing``.
+        heeds: Whether If-Range is looked at.
+        measured: Whether answers have a length; else they end with the connection.
         drops: Bytes after which an answer ends, one for each answer to come; None for whole ones.
         wrong: Bytes of a file that are sent wrong once: path to position.
         pages: Pages sent in the place of files: path to HTML.
+        odd: Status and headers that are sent in the place of files, without content.
         asked: Path and Range of each request.
         sent: Bytes of content that left.
-    held: Bytes after which an answer waits until it is let go.
-    go: Lets it go.
+        held: Bytes after which an answer waits until it is let go.
+        go: Lets it go.
     """
 
     folder: Path
@@ -50,6 +52,7 @@ class Site:
     drops: list[int | None] = field(default_factory=list)
     wrong: dict[str, int] = field(default_factory=dict)
     pages: dict[str, str] = field(default_factory=dict)
+    odd: tuple[int, dict[str, str]] | None = None
     asked: list[tuple[str, str | None]] = field(default_factory=list)
     sent: int = 0
     held: int | None = None
@@ -66,7 +69,9 @@ class Handler(http.server.BaseHTTPRequestHandler):
         site, self.close_connection = self.site, True
         asked = self.headers.get("Range")
         site.asked.append((self.path, asked))
-        if self.path == "/endless.bag":
+        if site.odd:
+            self._head(*site.odd)
+        elif self.path == "/endless.bag":
             self._endless()
         elif self.path.startswith("/to/"):
             self._head(302, {"Location": self.path.removeprefix("/to/"), "Content-Length": "0"})
@@ -101,7 +106,8 @@ class Handler(http.server.BaseHTTPRequestHandler):
     def _file(self, path: Path, asked: str | None) -> None:
         site, size = self.site, path.stat().st_size
         mark = hashlib.sha256(f"{size} {path.stat().st_mtime_ns}".encode()).hexdigest()[:16]
-        known = {"tag": f'"{mark}"', "weak": f'W/"{mark}"', "time": mark}.get(site.known_by)
+        marks = {"tag": f'"{mark}"', "weak": f'W/"{mark}"', "folded": f'"{mark}\r\n "', "time": mark}
+        known = marks.get(site.known_by)
         start, end = 0, size
         match = re.fullmatch(r"bytes=(\d+)-(\d*)", asked or "") if site.by_ranges else None
         if site.heeds and self.headers.get("If-Range", known) != known:
@@ -154,9 +160,11 @@ def make_certificate(folder: Path, name: str = "DNS:localhost") -> tuple[Path, P
 
 
 @contextlib.contextmanager
-def serving(site: Site, certificate: Path, key: Path, address: str | None = None) -> Iterator[Site]:
+def serving(
+    site: Site, certificate: Path, key: Path, address: str | None = None, handler: type = Handler
+) -> Iterator[Site]:
     """Serve a site until the end of the block, on this machine alone or at one of its addresses."""
-    handler = type("SiteHandler", (Handler,), {"site": site})
+    handler = type("SiteHandler", (handler,), {"site": site})
     httpd = http.server.ThreadingHTTPServer((address or "127.0.0.1", 0), handler)
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(certificate, key)

@@ -220,19 +220,21 @@ def test_a_server_without_parts_or_with_another_file_begins_afresh(
 
 
 class Replacing(list[Any]):
-    """Drops of a server, with whose first one a file is replaced by another of its size."""
+    """Drops of a server, with whose first one a file is replaced by another."""
 
-    def __init__(self, path: Path, drops: list[int | None]) -> None:
+    def __init__(self, path: Path, drops: list[int | None], content: bytes = LARGE[::-1]) -> None:
         super().__init__(drops)
-        self._path = path
+        self._path, self._content = path, content
 
     def pop(self, at: Any = -1) -> Any:
         drop = super().pop(at)
-        self._path.write_bytes(LARGE[::-1])
+        self._path.write_bytes(self._content)
         return drop
 
 
-@pytest.mark.parametrize(("known_by", "heeds"), [("weak", True), ("tag", False), ("time", False)])
+@pytest.mark.parametrize(
+    ("known_by", "heeds"), [("weak", True), ("tag", False), ("time", False), ("folded", True)]
+)
 def test_halves_of_two_files_are_never_joined(large: Any, tmp_path: Path, known_by: str, heeds: bool) -> None:
     large.known_by, large.heeds = known_by, heeds
     large.drops = Replacing(large.folder / "large.bag", [1 << 20])
@@ -241,6 +243,19 @@ def test_halves_of_two_files_are_never_joined(large: Any, tmp_path: Path, known_
     fetching.fetch_file(wanted(large), tmp_path / "large.bag", progress)
     assert (tmp_path / "large.bag").read_bytes() == LARGE[::-1]
     assert "is another file now" in said[0]
+
+
+def test_an_answer_without_marks_makes_none_forgotten(large: Any, tmp_path: Path) -> None:
+    class Changing(list[Any]):
+        def pop(self, at: Any = -1) -> Any:
+            large.heeds, large.known_by = False, "nothing" if len(self) == 2 else "tag"
+            if len(self) == 1:
+                (large.folder / "large.bag").write_bytes(LARGE[::-1])
+            return super().pop(at)
+
+    large.drops = Changing([1 << 20, 1 << 20])  # the first one has a mark, the second none, the third another
+    fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+    assert (tmp_path / "large.bag").read_bytes() == LARGE[::-1]
 
 
 @pytest.mark.parametrize("known_by", ["nothing", "weak"])
@@ -294,6 +309,54 @@ def test_an_answer_without_an_end_may_have_been_cut(large: Any, tmp_path: Path) 
     said: list[str] = []
     fetching.fetch_file(wanted(large), tmp_path / "large.bag", fetching.FetchProgress(notify=said.append))
     assert said == [f"large: {large.url}/large.bag: no end was told: it may have been cut"]
+
+
+def test_a_known_size_is_an_end(large: Any, tmp_path: Path) -> None:
+    large.measured, large.drops, said = False, [1 << 20], list[str]()
+    progress = fetching.FetchProgress(notify=said.append)
+    fetching.fetch_file(wanted(large, size=len(LARGE)), tmp_path / "large.bag", progress)
+    assert (tmp_path / "large.bag").read_bytes() == LARGE
+    assert (large.sent, said) == (len(LARGE), [])
+    with pytest.raises(DataError, match="has 4,194,304 bytes, expected 4,000,000"):
+        fetching.fetch_file(wanted(large, size=4_000_000), tmp_path / "other.bag")
+
+
+def test_a_size_that_was_told_before_nothing_came_is_forgotten(large: Any, tmp_path: Path) -> None:
+    class Changing(list[Any]):
+        def pop(self, at: Any = -1) -> Any:
+            (large.folder / "large.bag").write_bytes(LARGE + LARGE)
+            large.known_by, large.measured = "nothing", False
+            return super().pop(at)
+
+    large.known_by, large.drops = "nothing", Changing([0])
+    fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+    assert (tmp_path / "large.bag").read_bytes() == LARGE + LARGE
+
+
+def test_of_a_file_that_became_empty_nothing_is_kept(large: Any, tmp_path: Path) -> None:
+    large.drops = Replacing(large.folder / "large.bag", [1 << 20], b"")
+    assert fetching.fetch_file(wanted(large), tmp_path / "a.bag") == hashlib.sha256(b"").hexdigest()
+    with pytest.raises(DataError, match=r"large: https://.*: 1 of 1 pieces are wrong"):
+        fetching.fetch_file(wanted(large, piece_bytes=9, pieces=["0" * 64]), tmp_path / "b.bag")
+
+
+@pytest.mark.parametrize(
+    ("status", "headers", "message"),
+    [
+        (302, {"Location": "https://[x"}, "leads to an address that can't be: Invalid IPv6"),
+        (302, {"Location": f"https://{'a' * 70}.test/"}, "leads to an address that can't be: .*too long"),
+        (204, {}, "HTTP status 204, no file: No Content"),
+        (200, {"Content-Length": "9" * 5000}, "more than 256 GiB"),
+        (206, {"Content-Range": f"bytes 0-8/{'9' * 5000}"}, "more than 256 GiB"),
+        (206, {"Content-Range": f"bytes {'9' * 5000}-1/2"}, "sent another range than bytes 0-: bytes 9"),
+    ],
+)
+def test_an_answer_that_makes_no_sense_is_named(
+    large: Any, tmp_path: Path, status: int, headers: dict[str, str], message: str
+) -> None:
+    large.odd = status, headers
+    with pytest.raises((DataError, SystemFault), match=f"^large: .*{message}"):
+        fetching.fetch_file(wanted(large), tmp_path / "large.bag")
 
 
 def test_wrong_bytes_are_fetched_again_once(large: Any, tmp_path: Path) -> None:
@@ -419,6 +482,9 @@ def test_a_page_of_google_drive_is_confirmed(large: Any, tmp_path: Path) -> None
 def test_a_page_that_wants_a_login_is_told(large: Any, tmp_path: Path) -> None:
     large.pages["/large.bag"] = "<html><head><title>Sign in</title></head><body>Please</body></html>"
     with pytest.raises(DataError, match="leads to a page, 'Sign in', not to a file: it may want a login"):
+        fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+    large.pages["/large.bag"] = '<form id="download-form" action="https://["></form><![x['
+    with pytest.raises(DataError, match="leads to a page, '', not to a file"):
         fetching.fetch_file(wanted(large), tmp_path / "large.bag")
 
 

@@ -15,6 +15,7 @@ import tarfile
 import zipfile
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -512,6 +513,26 @@ def test_links_that_lead_in_a_circle_are_refused(tmp_path: Path) -> None:
         unpack(tarred(tmp_path / "a.tgz", members, {}), ["s"], tmp_path / "out")
 
 
+def test_a_chain_of_links_becomes_copies_however_long_it_is(tmp_path: Path) -> None:
+    chain = [named(str(k), tarfile.SYMTYPE, str(k + 1) if k < 1199 else "a") for k in range(1200)]
+    unpack(tarred(tmp_path / "a.tgz", [*chain, named("a")], {"a": b"content"}), [""], tmp_path / "out")
+    assert {path.read_bytes() for path in (tmp_path / "out").iterdir()} == {b"content"}
+
+
+def test_a_link_goes_through_another_that_lies_beside_what_goes_through_it(tmp_path: Path) -> None:
+    members = [
+        named("d/x", tarfile.SYMTYPE, "y"),
+        named("d", tarfile.SYMTYPE, "p"),
+        named("p/y"),
+        named("p/deep", tarfile.SYMTYPE, "../q"),
+        named("q/z"),
+        named("e", tarfile.SYMTYPE, "d/deep/z"),
+    ]
+    unpack(tarred(tmp_path / "a.tgz", members, {"p/y": b"y", "q/z": b"z"}), [""], tmp_path / "out")
+    found = {name: (tmp_path / "out" / name).read_bytes() for name in ("d/x", "d/y", "d/deep/z", "e")}
+    assert found == {"d/x": b"y", "d/y": b"y", "d/deep/z": b"z", "e": b"z"}
+
+
 def test_links_to_folders_count_as_what_they_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(unpacking, "FREE_BYTES", 1 << 20)
     members = [named("s/d/a"), *(named(f"s/{k}", tarfile.SYMTYPE, "d") for k in range(2000))]
@@ -527,6 +548,49 @@ def test_a_bomb_is_refused_before_it_fills_the_disk(tmp_path: Path, monkeypatch:
         unpack(bomb, ["s"], tmp_path / "out")
     written = sum(path.stat().st_size for path in (tmp_path / "out").rglob("*") if path.is_file())
     assert written <= 10 << 20
+
+
+HEADERS = {
+    "of much": (tarfile.PAX_FORMAT, named("a"), {"comment": "x" * 5000}, "its headers take more memory"),
+    "of a long name": (tarfile.GNU_FORMAT, named("a" * 4200), {}, "its headers take more memory"),
+    "deep": (tarfile.PAX_FORMAT, named("a/" * 80 + "a"), {}, "more than 4,096 characters or 64 folders"),
+    "of no number": (tarfile.PAX_FORMAT, named("a"), {"GNU.sparse.map": "a,b"}, "is damaged, or no archive"),
+}
+
+
+@pytest.mark.parametrize("kind", HEADERS)
+def test_headers_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    monkeypatch.setattr(unpacking, "_HEADER_BYTES", 4096)
+    form, member, more, message = HEADERS[kind]
+    with tarfile.open(tmp_path / "a.tgz", "w:gz", format=form, pax_headers=more) as archive:
+        archive.addfile(member)
+    with pytest.raises(DataError, match=message):
+        unpack(tmp_path / "a.tgz", [""], tmp_path / "out")
+
+
+@pytest.mark.parametrize("error", [RecursionError("too deep"), MemoryError(), ValueError("no number")])
+def test_what_a_library_meets_in_an_archive_is_its_damage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    monkeypatch.setattr(tarfile.TarFile, "next", Mock(side_effect=error))
+    archive = tarred(tmp_path / "a.tar", [named("a")], {})
+    with pytest.raises(unpacking.DamagedArchiveError, match=f": {str(error) or 'MemoryError'}$"):
+        unpack(archive, [""], tmp_path / "out")
+
+
+def test_the_directory_of_a_zip_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(unpacking, "DIRECTORY_BYTES", 2000)
+    with pytest.raises(DataError, match="its headers take more memory"):
+        unpack(zipped(tmp_path / "a.zip", {f"s/{k}": b"" for k in range(100)}), ["s"], tmp_path / "out")
+
+
+def test_what_nobody_wants_of_an_archive_is_bounded_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(unpacking, "FREE_BYTES", 1 << 20)
+    archive = tarred(tmp_path / "a.tgz", [named("zeros"), named("s/a")], {"zeros": bytes(16 << 20)})
+    with pytest.raises(DataError, match=r"it grows to more than \d+ MiB, 200 times its size"):
+        unpack(archive, ["s"], tmp_path / "out")
 
 
 def test_what_is_missing_is_named_with_what_is_there(tmp_path: Path) -> None:

@@ -179,28 +179,28 @@ def _whole(wanted: WantedFile, partial: Partial, progress: FetchProgress) -> str
         wrong = _wrong_pieces(wanted, partial)
         if wanted.sha256 in {None, found} and not wrong:
             return found
-        sentence = f"{wanted.what}: {partial.url}: has sha256 {found}, expected {wanted.sha256}"
+        problem = f"has sha256 {found}, expected {wanted.sha256}"
+        if wrong:
+            problem = f"{len(wrong)} of {len(wanted.pieces)} pieces are wrong"
+        sentence = f"{wanted.what}: {partial.url}: {problem}"
         if last:
             raise DataError(sentence)
-        if wrong:
-            progress.notify(
-                f"{wanted.what}: {len(wrong)} of {len(wanted.pieces)} pieces are wrong: fetched again"
-            )
-            for span in wrong:
-                partial.drop(span)
-        else:
-            progress.notify(f"{sentence}: fetched again")
+        progress.notify(f"{sentence}: fetched again")
+        for span in wrong:
+            partial.drop(span)
+        if not wrong:
             partial.forget()
         urls.append(urls.pop(0))
     raise AssertionError
 
 
 def _wrong_pieces(wanted: WantedFile, partial: Partial) -> list[Span]:
-    """Return the spans of the pieces that aren't what their checksums say."""
+    """Return the spans of the pieces that aren't what their checksums say, and of what follows them."""
     wrong = []
     if wanted.pieces:
+        partial.write(0, b"")  # an empty file is one, too
         with partial.path.open("rb") as file:
-            for number, expected in enumerate(wanted.pieces):
+            for number, expected in enumerate([*wanted.pieces, hashlib.sha256().hexdigest()]):
                 data = file.read(wanted.piece_bytes)
                 if hashlib.sha256(data).hexdigest() != expected:
                     first = number * wanted.piece_bytes
@@ -243,6 +243,8 @@ def fetch_span(  # noqa: PLR0917 - what, from where, to where, which part
                 # Bytes are progress, answers are none: a file that changes each time never comes to its end.
                 if partial.held >= most + STALL_BYTES:
                     tries, most = list(PAUSES), partial.held
+                if span[1] is None and not partial.spans:
+                    partial.forget()  # a size that was told is of a file of which nothing came
                 if not isinstance(error, Interrupted) or not tries:
                     problems.append(f"{url}: {error}")
                     break
@@ -277,7 +279,9 @@ class _Running:
 
     def catch_up(self, until: int) -> None:
         """Take in what was fetched before, from the disk."""
-        if self._at >= until:
+        if self._at > until:  # what it was of is forgotten
+            self._sum, self._at = hashlib.sha256(), 0
+        if self._at == until:
             return
         with self._partial.path.open("rb") as file:
             file.seek(self._at)
@@ -364,9 +368,9 @@ def forget_another(partial: Partial, url: str, answer: HttpsResponse, *, has_sum
 
 def _is_same(order: _FetchOrder, answer: HttpsResponse, start: int) -> bool:
     """Tell whether an answer goes on with what is there; where it doesn't, that is forgotten."""
-    wanted, partial = order.wanted, order.partial
-    if answer.total is not None and wanted.size is not None and answer.total != wanted.size:
-        raise DataError(f"{order.where}: has {answer.total:,} bytes, expected {wanted.size:,}")
+    partial = order.partial
+    if answer.total is not None:
+        _require_size(order, answer.total)
     is_same = answer.start == start
     if not is_same:
         order.progress.notify(
@@ -374,8 +378,15 @@ def _is_same(order: _FetchOrder, answer: HttpsResponse, start: int) -> bool:
         )
         partial.forget()
     _require_room((answer.total or 0) - partial.held, order.room, order)
-    partial.begin(order.url, answer.validators, answer.total)
+    known = (answer.total, partial.total, order.wanted.size)
+    partial.begin(order.url, answer.validators, next((size for size in known if size is not None), None))
     return is_same
+
+
+def _require_size(order: _FetchOrder, found: int) -> None:
+    expected = order.wanted.size
+    if expected is not None and found != expected:
+        raise DataError(f"{order.where}: has {found:,} bytes, expected {expected:,}")
 
 
 def _copy(order: _FetchOrder, answer: HttpsResponse, until: int | None) -> None:
@@ -404,11 +415,22 @@ def _copy(order: _FetchOrder, answer: HttpsResponse, until: int | None) -> None:
                 raise Interrupted(f"less than {STALL_BYTES >> 20} MiB came in {STALL_SECONDS} s")
     order.progress.count(partial.held, answer.total)
     if expected is None:
+        expected = _end_of(order, answer, at)
+    if at < expected:
+        raise Interrupted(f"ended after {at:,} of {expected:,} bytes")
+
+
+def _end_of(order: _FetchOrder, answer: HttpsResponse, at: int) -> int:
+    """Return the size of a file whose answer didn't tell it and has ended at a byte."""
+    size = order.wanted.size
+    if size is None:
         if not answer.tells_end:
             order.progress.notify(f"{order.where}: no end was told: it may have been cut")
-        partial.total = at
-    elif at < expected:
-        raise Interrupted(f"ended after {at:,} of {expected:,} bytes")
+        order.partial.total = at
+        return at
+    if at > size:
+        _require_size(order, at)
+    return size
 
 
 class _BlockWriter:

@@ -13,6 +13,7 @@ import re
 import ssl
 import urllib.error
 import urllib.request
+from contextlib import suppress
 from dataclasses import dataclass
 from html.parser import HTMLParser
 from http.client import HTTPException
@@ -27,7 +28,7 @@ TIMEOUT_SECONDS = 60
 CERTIFICATES = "SLAMHIVE_CERTIFICATES"
 """Variable with a file of further authorities' certificates, such as that of a lab's own mirror."""
 _PAGE_BYTES = 1 << 20
-_RANGE = re.compile(r"bytes (\d+)-(\d+)/(\d+|\*)")
+_RANGE = re.compile(r"bytes (\d+)-(\d+)/(\d+|\*)", re.ASCII)
 _AGAIN = {408, 425, 429, 500, 502, 503, 504}
 """Statuses after which another try may succeed."""
 
@@ -53,7 +54,8 @@ class Validators:
     @property
     def condition(self) -> str | None:
         """Return the mark for If-Range, by which a server goes on with no other file (RFC 9110, 13.1.5)."""
-        return self.modified if self.etag is None else None if self.etag.startswith("W/") else self.etag
+        mark = self.modified if self.etag is None else self.etag
+        return mark if mark and mark.isascii() and mark.isprintable() and not mark.startswith("W/") else None
 
     def differ(self, others: Validators) -> bool | None:
         """Tell whether two answers are of different files; None where they have no mark in common."""
@@ -201,6 +203,8 @@ def _open(url: str, start: int, end: int | None, condition: str | None) -> Https
         raise kind(_shown(f"HTTP Error {error.code}: {error.reason}")) from None
     except (OSError, HTTPException) as error:
         raise Interrupted(_shown(str(getattr(error, "reason", error)))) from None
+    except ValueError as error:  # of a redirect
+        raise SystemFault(_shown(f"leads to an address that can't be: {error}")) from None
     return _answer(response, start)
 
 
@@ -210,16 +214,26 @@ def _answer(response: Any, start: int) -> HttpsResponse:
     length = headers.get("Content-Length")
     if response.status == 206:
         match = _RANGE.fullmatch(headers.get("Content-Range", ""))
-        if match is None or int(match[1]) != start:
+        if match is None or _number(match[1]) != start:
             response.close()
             found = _shown(str(headers.get("Content-Range")))
             raise Interrupted(f"sent another range than bytes {start}-: {found}")
-        total = None if match[3] == "*" else int(match[3])
-        return HttpsResponse(start, total, validators, by_ranges=True, tells_end=True, _response=response)
-    total = int(length) if length and length.isdecimal() else None
+        total = None if match[3] == "*" else _number(match[3])
+        tells_end = total is not None
+        return HttpsResponse(
+            start, total, validators, by_ranges=True, tells_end=tells_end, _response=response
+        )
+    if response.status not in {200, 203}:
+        response.close()
+        raise Interrupted(_shown(f"HTTP status {response.status}, no file: {response.reason}"))
+    total = _number(length) if length and length.isdecimal() else None
     by_ranges = headers.get("Accept-Ranges", "").strip().lower() == "bytes"
     tells_end = total is not None or response.chunked
     return HttpsResponse(0, total, validators, by_ranges, tells_end, response)
+
+
+def _number(digits: str) -> int:
+    return int(digits[:20])  # more than any file has, also where it is cut
 
 
 def _is_page(answer: HttpsResponse, url: str) -> bool:
@@ -236,7 +250,8 @@ class _HtmlPage(HTMLParser):
         self._in_title = False
         self._action: str | None = None
         self._fields: list[tuple[str, str]] = []
-        self.feed(text)
+        with suppress(AssertionError):  # of what is no HTML
+            self.feed(text)
         self.title = _shown(" ".join(self.title.split()))[:100]
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
@@ -258,5 +273,7 @@ class _HtmlPage(HTMLParser):
         """Return the address that the form leads to; None where there is no such form."""
         if self._action is None:
             return None
-        target = urljoin(url, self._action)
-        return f"{target}{'&' if '?' in target else '?'}{urlencode(self._fields)}"
+        with suppress(ValueError):
+            target = urljoin(url, self._action)
+            return f"{target}{'&' if '?' in target else '?'}{urlencode(self._fields)}"
+        return None

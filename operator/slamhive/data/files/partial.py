@@ -97,8 +97,10 @@ class Partial:
         return next((end for first, end in self.spans if first <= start < end), start)
 
     def begin(self, url: str, validators: Validators, total: int | None) -> None:
-        """Note what is fetched from now on."""
-        self.url, self.validators, self.total = url, validators, total
+        """Note what is fetched from now on; marks of answers before stay, where this one has none."""
+        before = self.validators if url == self.url else Validators()
+        marks = validators.etag or before.etag, validators.modified or before.modified
+        self.url, self.validators, self.total = url, Validators(*marks), total
 
     def write(self, at: int, data: bytes | memoryview) -> None:
         """Write bytes at their place and note that they are there.

@@ -8,6 +8,8 @@ copies of what they lead to, or are refused.
 
 from __future__ import annotations
 
+import gzip
+import lzma
 import os
 import shutil
 import stat
@@ -18,9 +20,12 @@ import zipfile
 import zlib
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from graphlib import CycleError, TopologicalSorter
+from math import inf
 from pathlib import Path, PurePosixPath
-from typing import IO, TYPE_CHECKING, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, NamedTuple, NoReturn
 
+from slamhive.contract.lines import printable
 from slamhive.data.files.fetching import LEFT_BYTES
 from slamhive.data.files.partial import disk_words
 from slamhive.model.errors import DataError, SystemFault
@@ -35,18 +40,74 @@ MOST_RATIO = 200
 FREE_BYTES = 64 << 20
 """Bytes that any archive may grow to."""
 _BLOCK = 1 << 20
+_HEADER_BYTES = 1 << 20
+"""Bytes that all headers of a member of a tar may take together."""
+DIRECTORY_BYTES = 128 << 20
+"""Bytes that the directory of a zip may take: that of a million files."""
+_NAME_LENGTH = 4096
+_DEPTH = 64
+"""Folders of a path, each of which may be what a link leads to."""
+_SHOWN = 5
 _MAGIC_ZIP = b"PK\x03\x04"
 _MAGIC_7Z = b"7z\xbc\xaf\x27\x1c"
 _PASSED_OVER = ("__MACOSX", ".DS_Store")
+
+
+_DAMAGES = (
+    *(zipfile.BadZipFile, tarfile.TarError, zlib.error, lzma.LZMAError, gzip.BadGzipFile, EOFError),
+    *(NotImplementedError, ValueError, RecursionError, MemoryError),
+)
+"""Errors of the libraries at an archive that they can't read."""
 
 
 class DamagedArchiveError(DataError):
     """An archive that is broken: fetched again it may be whole."""
 
 
-class _Link(NamedTuple):
-    name: str
-    linked: str
+class MeteredFile:
+    """An opened archive of which no more is read than is left: libraries hold headers of any length.
+
+    Attributes:
+        left: Bytes that may be read.
+    """
+
+    def __init__(self, file: IO[bytes], left: float) -> None:
+        self._file, self.left = file, left
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
+
+    def read(self, size: int = -1) -> bytes:
+        """Return so many bytes; a ValueError where they are more than are left."""
+        if size > self.left:
+            raise ValueError("its headers take more memory than those of an archive of data")
+        data = self._file.read(size)
+        self.left -= len(data)
+        return data
+
+
+class _Tar(tarfile.TarFile):
+    """A tar whose headers are bounded, of which nothing is kept of a member that is over.
+
+    Args:
+        name, mode, fileobj: As its base has them.
+        most: Bytes that all of it may unpack to.
+    """
+
+    def __init__(self, name: Any, mode: Any, fileobj: IO[bytes], *, most: int) -> None:
+        self._source, self._most = MeteredFile(fileobj, 0), most
+        super().__init__(name, mode, self._source)
+
+    def next(self) -> tarfile.TarInfo | None:
+        if self.offset > self._most:
+            raise ValueError(f"it grows to more than {self._most >> 20} MiB, {MOST_RATIO} times its size")
+        self._source.left = _HEADER_BYTES
+        try:
+            return super().next()
+        finally:
+            self._source.left = inf
+            self.members.clear()  # type: ignore[attr-defined]
+            self.pax_headers = {}
 
 
 @dataclass
@@ -57,6 +118,7 @@ class _Unpacking:
         out: The folder.
         limit: Bytes that may come.
         progress: Called with the bytes that have come.
+        links: What each link leads to, by its name.
     """
 
     out: Path
@@ -64,7 +126,7 @@ class _Unpacking:
     progress: Callable[[int], None]
     written: int = 0
     files: int = 0
-    links: list[_Link] = field(default_factory=list)
+    links: dict[str, str] = field(default_factory=dict)
 
 
 def unpack(
@@ -92,7 +154,7 @@ def unpack(
     """
     out.mkdir(parents=True, exist_ok=True)
     room = shutil.disk_usage(out).free - LEFT_BYTES
-    limit = min(max(FREE_BYTES, MOST_RATIO * _held(archive)), max(room, 0))
+    limit = min(_most_bytes(archive), max(room, 0))
     work = _Unpacking(out, limit, progress)
     title = title or archive.name
     with disk_words(title, out):
@@ -100,10 +162,11 @@ def unpack(
         _follow_links(title, work)
 
 
-def _held(archive: Path) -> int:
-    """Return the space of an archive on the disk, bytes: one that was fetched in parts has holes."""
+def _most_bytes(archive: Path) -> int:
+    """Return the bytes that an archive may grow to."""
     known = archive.stat()
-    return min(known.st_size, known.st_blocks * 512)
+    # Of its space on the disk: one that was fetched in parts has holes.
+    return max(FREE_BYTES, MOST_RATIO * min(known.st_size, known.st_blocks * 512))
 
 
 def _unpack(archive: Path, title: str, wanted: Iterable[Sequence[str]], work: _Unpacking) -> None:
@@ -119,7 +182,8 @@ def _unpack(archive: Path, title: str, wanted: Iterable[Sequence[str]], work: _U
         with _opened(archive, title) as members:
             for member in members:
                 name = _checked(member.name, title)
-                seen.setdefault("/".join(PurePosixPath(name).parts[:2]))
+                if len(seen) <= _SHOWN:
+                    seen.setdefault("/".join(PurePosixPath(name).parts[:2]))
                 if name in inner:
                     with tempfile.TemporaryDirectory(prefix=".nested-", dir=work.out) as folder:
                         aside = Path(folder) / PurePosixPath(name).name
@@ -130,10 +194,10 @@ def _unpack(archive: Path, title: str, wanted: Iterable[Sequence[str]], work: _U
                 if matching is not None:
                     missing.discard(matching)
                     _place(member, name, title, work)
-    except (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError, NotImplementedError) as error:
+    except _DAMAGES as error:
         raise DamagedArchiveError(f"{title}: {_damage(archive, error)}") from None
     if missing:
-        some = ", ".join(list(seen)[:5]) + (", …" if len(seen) > 5 else "")
+        some = printable(", ".join(list(seen)[:_SHOWN])) + (", …" if len(seen) > _SHOWN else "")
         raise DataError(f"{title}: has no {', '.join(sorted(missing))}; it has: {some or 'nothing'}")
 
 
@@ -145,7 +209,7 @@ def _damage(archive: Path, error: Exception) -> str:
         return "is a zip archive whose end is missing"
     if isinstance(error, tarfile.ReadError) and "\n" in str(error):
         return "is damaged, or no archive: none of zip, tar, tgz, tar.bz2, tar.xz, 7z"
-    return f"is damaged, or no archive that can be read: {error}"
+    return f"is damaged, or no archive that can be read: {printable(str(error)) or type(error).__name__}"
 
 
 class ArchiveMember(NamedTuple):
@@ -173,10 +237,13 @@ def _opened(archive: Path, title: str) -> Iterator[Iterator[ArchiveMember]]:
         with _by_bsdtar(archive, title) as members:
             yield members
     elif zipfile.is_zipfile(archive):
-        with zipfile.ZipFile(archive) as opened:
-            yield (_of_zip(opened, info) for info in opened.infolist())
+        with archive.open("rb") as file:
+            source = MeteredFile(file, DIRECTORY_BYTES)
+            with zipfile.ZipFile(source) as opened:
+                source.left = inf
+                yield (_of_zip(opened, info) for info in opened.infolist())
     else:
-        with tarfile.open(archive, "r:*") as tar:
+        with archive.open("rb") as file, _tar("r:*", file, archive) as tar:
             yield (_of_tar(tar, info) for info in tar)
 
 
@@ -193,10 +260,15 @@ def _by_bsdtar(archive: Path, title: str) -> Iterator[Iterator[ArchiveMember]]:
         stderr=subprocess.DEVNULL,
     ) as process:
         try:
-            with tarfile.open(fileobj=process.stdout, mode="r|") as tar:
+            with _tar("r|", process.stdout, archive) as tar:
                 yield (_of_tar(tar, info) for info in tar)
         finally:
             process.kill()
+
+
+def _tar(mode: str, file: Any, archive: Path) -> tarfile.TarFile:
+    found: tarfile.TarFile = _Tar.open(None, mode, file, most=_most_bytes(archive))  # type: ignore[call-overload]
+    return found
 
 
 def _of_zip(opened: zipfile.ZipFile, info: zipfile.ZipInfo) -> ArchiveMember:
@@ -206,7 +278,8 @@ def _of_zip(opened: zipfile.ZipFile, info: zipfile.ZipInfo) -> ArchiveMember:
     if stat.S_ISLNK(mode):
         linked = opened.read(info)[:4096].decode("utf-8", "replace") if info.file_size <= 4096 else "/"
         return ArchiveMember(info.filename, "link", lambda: opened.open(info), linked)
-    return ArchiveMember(info.filename, "folder" if info.is_dir() else "file", lambda: opened.open(info))
+    kind = "folder" if info.filename.endswith("/") else "file"
+    return ArchiveMember(info.filename, kind, lambda: opened.open(info))
 
 
 def _of_tar(tar: tarfile.TarFile, info: tarfile.TarInfo) -> ArchiveMember:
@@ -233,6 +306,9 @@ def _checked(name: str, title: str) -> str:
     path = PurePosixPath(name.replace("\\", "/"))
     if path.is_absolute() or ".." in path.parts or "\0" in name:
         raise DataError(f"{title}: the member {name[:200]!r} leads outside of its folder: refused")
+    if len(name) > _NAME_LENGTH or len(path.parts) > _DEPTH:
+        most = f"{_NAME_LENGTH:,} characters or {_DEPTH} folders"
+        raise DataError(f"{title}: the name of the member {name[:200]!r} has more than {most}: refused")
     return str(path)
 
 
@@ -244,13 +320,11 @@ def _is_in(name: str, prefix: str) -> bool:
 
 def _place(member: ArchiveMember, name: str, title: str, work: _Unpacking) -> None:
     target = work.out / name
-    work.files += 1
-    if work.files > MOST_FILES:
-        raise DataError(f"{title}: has more than {MOST_FILES:,} files: refused")
+    _count(title, work)
     if member.kind == "folder":
         target.mkdir(parents=True, exist_ok=True)
     elif member.kind == "link":
-        work.links.append(_Link(name, member.linked))
+        work.links[name] = member.linked
     elif member.kind == "file":
         target.parent.mkdir(parents=True, exist_ok=True)
         _write(member, title, target, work)
@@ -258,9 +332,14 @@ def _place(member: ArchiveMember, name: str, title: str, work: _Unpacking) -> No
         raise DataError(f"{title}: the member {name!r} is a {member.kind}: refused")
 
 
+def _count(title: str, work: _Unpacking) -> None:
+    work.files += 1
+    if work.files > MOST_FILES:
+        raise DataError(f"{title}: has more than {MOST_FILES:,} files: refused")
+
+
 def _write(member: ArchiveMember, title: str, target: Path, work: _Unpacking) -> None:
-    if target.is_dir():
-        raise DataError(f"{title}: has {member.name!r} as file and as folder: refused")
+    _refuse_folder(target, member.name, title)
     with member.open() as source, target.open("wb") as out:
         while block := source.read(_BLOCK):
             work.written += len(block)
@@ -268,6 +347,11 @@ def _write(member: ArchiveMember, title: str, target: Path, work: _Unpacking) ->
                 _refuse_size(title, work)
             out.write(block)
             work.progress(work.written)
+
+
+def _refuse_folder(target: Path, name: str, title: str) -> None:
+    if target.is_dir():
+        raise DataError(f"{title}: has {name!r} as file and as folder: refused")
 
 
 def _refuse_size(title: str, work: _Unpacking) -> None:
@@ -281,40 +365,60 @@ def _refuse_size(title: str, work: _Unpacking) -> None:
 
 def _follow_links(title: str, work: _Unpacking) -> None:
     """Put copies in the place of links; what leads outside, to itself, or to nothing, is refused."""
-    waiting = work.links
-    while waiting:
-        names = [PurePosixPath(link.name) for link in waiting]
-        left = [link for link in waiting if not _copied(link, names, title, work)]
-        if len(left) == len(waiting):
-            name, linked = left[0]
-            raise DataError(f"{title}: the link {name!r} leads to {linked!r}, which isn't in it: refused")
-        waiting = left
-
-
-def _copied(link: _Link, links: Sequence[PurePosixPath], title: str, work: _Unpacking) -> bool:
-    """Put a copy in the place of a link; False where what it leads to isn't there, or has links in it."""
-    name, linked = link
     # Names alone decide: no link is ever made that a later one could lead through.
-    path = os.path.normpath(PurePosixPath(name).parent / linked)
-    if path.startswith(("/", "..")):
-        raise DataError(f"{title}: the link {name!r} leads outside of its folder: refused")
+    links = {
+        name: os.path.normpath(PurePosixPath(name).parent / linked) for name, linked in work.links.items()
+    }
+    order: TopologicalSorter[str] = TopologicalSorter()
+    for name, path in links.items():
+        if path.startswith(("/", "..")):
+            raise DataError(f"{title}: the link {name!r} leads outside of its folder: refused")
+        if path.count("/") >= _DEPTH:
+            _refuse_link(name, title, work)
+        if path in (".", name) or name.startswith(f"{path}/"):
+            linked = work.links[name]
+            raise DataError(f"{title}: the link {name!r} leads to {linked!r}, in which it is itself: refused")
+        # A name is a link's copy, with a slash all that lies under it: whole, and there, before it is copied.
+        order.add(name, f"{path}/")
+        order.add(f"{path}/", *(above for above in _above(path) if above in links))
+        for above in (name, *_above(name)):
+            order.add(f"{above}/", name)
+    try:
+        for name in order.static_order():
+            if name in links:
+                _copy(name, links[name], title, work)
+    except CycleError as error:
+        circle = set(error.args[1])
+        _refuse_link(next(name for name in links if name in circle), title, work)
+
+
+def _above(path: str) -> list[str]:
+    """Return the folders that a path lies in, but the archive's own."""
+    return [str(folder) for folder in PurePosixPath(path).parents][:-1]
+
+
+def _refuse_link(name: str, title: str, work: _Unpacking) -> NoReturn:
+    raise DataError(f"{title}: the link {name!r} leads to {work.links[name]!r}, which isn't in it: refused")
+
+
+def _copy(name: str, path: str, title: str, work: _Unpacking) -> None:
+    """Put a copy of what a link leads to, all links in which are copies by now, in its place."""
     source, target = work.out / path, work.out / name
-    if target.is_relative_to(source):
-        raise DataError(f"{title}: the link {name!r} leads to {linked!r}, in which it is itself: refused")
-    if any(other.is_relative_to(path) for other in links):
-        return False
     if source.is_dir():
-        files = [file for file in sorted(source.rglob("*")) if file.is_file()]
+        found: Iterable[Path] = source.rglob("*")
     elif source.is_file():
-        files = [source]
+        found = [source]
     else:
-        return False
-    work.files += len(files)
-    work.written += sum(file.stat().st_size for file in files)
-    if work.written > work.limit or work.files > MOST_FILES:
-        _refuse_size(title, work)
-    for file in files:
-        place = target / file.relative_to(source) if source.is_dir() else target
+        _refuse_link(name, title, work)
+    for file in found:
+        place = target / file.relative_to(source)
+        _count(title, work)
+        if file.is_dir():
+            continue
+        _checked(str(place.relative_to(work.out)), title)
+        work.written += file.stat().st_size
+        if work.written > work.limit:
+            _refuse_size(title, work)
+        _refuse_folder(place, name, title)
         place.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(file, place)
-    return True
