@@ -17,6 +17,7 @@ from slamhive.monitor.measuring.bounded import BoundedProcess, LimitError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
 MEBIBYTE = 1 << 20
 
@@ -70,6 +71,24 @@ def test_one_that_stands_still_is_ended(process: BoundedProcess, monkeypatch: py
         with pytest.raises(LimitError, match="stood still"):
             process.ask("SIGSTOP")
     assert process.ask("given", more=1) == {"more": 1}
+
+
+def test_who_waits_is_told_of_its_end(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "begun")
+    process = BoundedProcess(lambda *_: ((tmp_path / "begun").write_bytes(b""), signal.pause()), 9, None)
+    found = []
+
+    def ask() -> None:
+        with pytest.raises(LimitError) as caught:
+            process.ask(None)
+        found.append(caught.value.is_lasting)
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    (tmp_path / "begun").read_bytes()
+    process.close()
+    thread.join()
+    assert found == [False]
 
 
 def test_a_mistake_is_told_with_its_place(process: BoundedProcess) -> None:

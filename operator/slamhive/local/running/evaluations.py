@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -14,11 +15,13 @@ from slamhive.model.results import NOT_EVALUATED, IntendedEvaluation, Phase, Run
 from slamhive.model.sensors import SensorMode
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from slamhive.archive import Archive
     from slamhive.local.running.workbench import Workbench
     from slamhive.model.evaluation import Evaluation, EvaluationSettings, RunSelector
+
+_THREADS = 2
 
 
 class Unmeasured(NamedTuple):
@@ -43,18 +46,16 @@ def evaluate_again(bench: Workbench, evaluation: Evaluation) -> tuple[int, list[
     Returns:
         How many were measured, and what could not be.
     """
-    done, problems = 0, []
-    for record in list(select(bench.archive, evaluation.spec.runs)):
+
+    def measured(record: RunRecord) -> Unmeasured | None:
         # Noted first: a run that can't be measured then counts as failed in this Evaluation.
         problem = _intend(bench, record, evaluation.spec, evaluation.name)
-        problem = problem or measure_record(bench, record, evaluation.spec, evaluation.name)
-        if problem is None:
-            done += 1
-        else:
-            problems.append(problem.of(record.name))
-    if not done and not problems:
-        problems.append(Unmeasured("no finished run is selected"))
-    return done, problems
+        return problem or measure_record(bench, record, evaluation.spec, evaluation.name)
+
+    records = list(select(bench.archive, evaluation.spec.runs))
+    problems = _problems(bench, measured, records)
+    done = len(records) - len(problems)
+    return done, problems or ([] if done else [Unmeasured("no finished run is selected")])
 
 
 def bring_up_to_date(bench: Workbench, sweep_uid: str, settings: EvaluationSettings) -> list[Unmeasured]:
@@ -64,18 +65,35 @@ def bring_up_to_date(bench: Workbench, sweep_uid: str, settings: EvaluationSetti
         The runs that could not be measured.
     """
     wanted = settings_hash(settings)
-    problems = []
-    for record in list(bench.archive.runs({"sweep_uid": sweep_uid})):
-        current = any(result.values.get(SETTINGS_KEY) == wanted for result in record.results)
-        if current or not record.spec.get("evaluate", True):
-            continue
+
+    def measured(record: RunRecord) -> Unmeasured | None:
         problem = _intend(bench, record, settings)
         if record.phase is not Phase.SUCCEEDED or not record.folder:
-            continue
-        problem = problem or measure_record(bench, record, settings)
-        if problem is not None:
-            problems.append(problem.of(record.name))
-    return problems
+            return None
+        return problem or measure_record(bench, record, settings)
+
+    asked = [
+        record for record in bench.archive.runs({"sweep_uid": sweep_uid}) if record.spec.get("evaluate", True)
+    ]
+    return _problems(
+        bench,
+        measured,
+        [one for one in asked if all(result.values.get(SETTINGS_KEY) != wanted for result in one.results)],
+    )
+
+
+def _problems(
+    bench: Workbench, measured: Callable[[RunRecord], Unmeasured | None], records: list[RunRecord]
+) -> list[Unmeasured]:
+    """Measure runs and return their problems: one is looked up while another is measured."""
+    with ThreadPoolExecutor(_THREADS) as pool:
+        try:
+            found = list(pool.map(measured, records))
+        except BaseException:  # Ctrl-C waits for none
+            pool.shutdown(wait=False, cancel_futures=True)
+            bench.measuring.close()
+            raise
+    return [problem.of(record.name) for record, problem in zip(records, found, strict=True) if problem]
 
 
 def measure_record(

@@ -61,7 +61,7 @@ class BoundedProcess:
         self, answer: Callable[[Any, dict[str, Any]], Any], cpu_seconds: int, memory: int | None
     ) -> None:
         self._answer, self._cpu_seconds, self._memory = answer, cpu_seconds, memory
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._pipe: Connection | None = None
         self._pid = self._life = self._owner = 0
         self._given: dict[str, Any] = {}
@@ -98,10 +98,14 @@ class BoundedProcess:
         return told
 
     def close(self) -> None:
-        """End the process."""
-        if self._pipe is not None and self._owner == os.getpid():
+        """End the process; whoever waits for an answer is told."""
+        if self._pipe is None or self._owner != os.getpid():
+            return
+        with suppress(ProcessLookupError):
             os.kill(self._pid, signal.SIGKILL)
-            self._ended()
+        with self._lock:
+            if self._pipe is not None:
+                self._ended()
 
     __del__ = close
 
@@ -117,7 +121,7 @@ class BoundedProcess:
         return pipe
 
     def _received(self, pipe: Connection) -> Any:
-        """Return what comes from the process, which computes meanwhile; it might wait for a lock of ours."""
+        """Return the message of the process, which computes meanwhile; it might wait for a lock of ours."""
         used: list[bytes] | None = None
         while not pipe.poll(_STILL_SECONDS):
             before, used = used, stat_fields(read_file(f"/proc/{self._pid}/stat"))[11:13]
@@ -130,8 +134,8 @@ class BoundedProcess:
         """Let go of a process that ends, and return why it does."""
         if self._pipe is not None:
             self._pipe.close()
-            self._pipe = None
-            os.close(self._life)
+        self._pipe = None
+        os.close(self._life)
         _, status = os.waitpid(self._pid, 0)
         number = os.waitstatus_to_exitcode(status)
         if number == -signal.SIGXCPU:
@@ -150,7 +154,8 @@ class BoundedProcess:
         while True:
             try:
                 processors, question, new = pipe.recv()
-                os.sched_setaffinity(0, processors)
+                if processors != os.sched_getaffinity(0):
+                    os.sched_setaffinity(0, processors)
                 given |= new
                 limit(self._cpu_seconds)
                 pipe.send((True, self._answer(question, given)))
