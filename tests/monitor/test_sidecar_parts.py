@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from slamhive.contract import trajectory
 from slamhive.contract.trajectory import SoundTrajectory, check_trajectory
 from slamhive.monitor import ProcessIdentity, SidecarSpec, SpecError
 from slamhive.monitor.pod import containers
@@ -160,6 +161,17 @@ def test_poisoned_trajectories(tmp_path: Path, data: bytes, part: str) -> None:
     assert part in found.problem
     assert len(found.problem) < 300
     assert (found.info, found.missing) == (None, False)
+
+
+@pytest.mark.parametrize(
+    ("poses", "problem"), [(3, None), (4, "output/trajectory.txt: has more than 3 poses")]
+)
+def test_a_trajectory_has_so_many_poses_and_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, poses: int, problem: str | None
+) -> None:
+    monkeypatch.setattr(trajectory, "MOST_POSES", 3)
+    (tmp_path / "trajectory.txt").write_text("1 0 0 0 0 0 0 1\n" * poses)
+    assert check_trajectory(str(tmp_path)).problem == problem
 
 
 @pytest.mark.parametrize("data", [b"", b"# nothing\n\n", b"\xef\xbb\xbf\r\n"])

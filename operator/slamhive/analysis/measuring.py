@@ -54,6 +54,9 @@ RELATIONS = "relations"
 SEGMENTS = "segments.csv"
 """Beside a run's trajectory: when it tracked without a break, in which of its maps."""
 
+CPU_SECONDS = 600
+"""CPU time that measuring a run may take, wherever it happens: a few for the longest."""
+
 _SHORT_SECONDS = 10.0
 _MOST_MAPS = 20
 """Maps of a run that are measured: what they take, and what is kept of them, is bounded."""

@@ -30,6 +30,8 @@ FILE = "trajectory.txt"
 """In the output folder."""
 TRAJECTORY = "output/trajectory.txt"
 """In the run folder."""
+MOST_POSES = 5_000_000
+"""Poses of a trajectory: of hours at a thousand a second, which a workstation can still measure."""
 _MEANING = "expected timestamp tx ty tz qx qy qz qw"
 _COLUMNS = ("time stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 # As in slamhive_eval: beyond are nanoseconds by mistake, broken programs, and no rotations.
@@ -132,6 +134,8 @@ class _PoseCount:
                 self.first = values[0]
             self.last = values[-8]
             self.count += len(values) // 8
+            if self.count > MOST_POSES:
+                raise TextFault.at(TRAJECTORY, f"has more than {MOST_POSES:,} poses")
         self._line += len(lines)
 
     def _one_by_one(self, lines: list[bytes]) -> array[float]:

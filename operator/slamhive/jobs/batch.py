@@ -5,19 +5,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
 import os
-import signal
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slamhive.analysis.beside import with_others
-from slamhive.analysis.measuring import SEGMENTS, measure, read_estimate
+from slamhive.analysis.measuring import CPU_SECONDS, SEGMENTS, measure, read_estimate
 from slamhive.contract.files import compression_problem, open_below
 from slamhive.contract.lines import LIMIT_BYTES
 from slamhive.contract.trajectory import TRAJECTORY
@@ -26,7 +24,7 @@ from slamhive.jobs.opening import opened
 from slamhive.jobs.program import parse
 from slamhive.jobs.requests import RunItem
 from slamhive.model.errors import DataError, SlamHiveError
-from slamhive.monitor.measuring.processes import limit_data
+from slamhive.monitor.measuring.bounded import BoundedProcess, LimitError
 from slamhive_eval import (
     ControlPoints,
     EvaluationError,
@@ -164,42 +162,24 @@ def measure_all(
     if memory is not None:
         workers = max(1, min(workers, memory // _WORKER_BYTES))
     share = None if memory is None else int(memory * _SPARE) // workers
-    done = 0
-    try:
-        for line in _measured(bench, items, workers, share):
-            yield line
-            done += 1
-    except BrokenProcessPool:
-        # Who broke it can't be told: the rest one by one, each on its own.
-        for item in items[done:]:
-            try:
-                yield from _measured(bench, [item], 1, share)
-            except BrokenProcessPool:
-                yield identity(item) | {"error": "measuring it ended the evaluator's process"}
+    # A fork shares the ground truth with all of them.
+    idle: SimpleQueue[BoundedProcess] = SimpleQueue()
+    for _ in range(workers):
+        idle.put(BoundedProcess(lambda item, _: bench.measure(item), CPU_SECONDS, share))
 
+    def measured(item: Mapping[str, Any]) -> dict[str, Any]:
+        process = idle.get()
+        try:
+            line: dict[str, Any] = process.ask(item)
+        except (LimitError, RuntimeError) as error:
+            return identity(item) | {"error": f"can't be measured: {error}"}
+        else:
+            return line
+        finally:
+            idle.put(process)
 
-def _measured(
-    bench: Bench, items: Iterable[Mapping[str, Any]], workers: int, share: int | None
-) -> Iterator[dict[str, Any]]:
-    # A fork shares the ground truth with all workers.
-    context = multiprocessing.get_context("fork")
-    with ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(bench, share)) as pool:
-        yield from pool.map(_measure, items)
-
-
-_BENCHES: list[Bench] = []
-
-
-def _begin(bench: Bench, share: int | None) -> None:
-    """Set up a worker: more memory than its share is refused to it, where the kernel would end the pod."""
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    _BENCHES[:] = [bench]
-    if share is not None:
-        limit_data(share)
-
-
-def _measure(item: Mapping[str, Any]) -> dict[str, Any]:
-    return _BENCHES[0].measure(item)
+    with ThreadPoolExecutor(workers) as pool:
+        yield from pool.map(measured, items)
 
 
 def read_truths(folder: Path, datasets: Iterable[str]) -> dict[str, Truth | str]:

@@ -252,11 +252,13 @@ class IntendedEvaluation(Model):
         evaluation: its name.
         alignment: as a result of it would name it; None when that isn't known.
         settings: hash of its settings.
+        problem: why it can't be measured so where that was tried, and isn't tried again.
     """
 
     evaluation: str
     alignment: str | None = None
     settings: str | None = None
+    problem: str | None = None
 
 
 class RunRecord(Model):

@@ -316,6 +316,12 @@ def test_the_tightest_quota_above_us_counts(tmp_path: Path, monkeypatch: pytest.
     assert hierarchy.cpu_quota() == 1.5
     (old / "cpu.cfs_quota_us").write_text("-1\n")
     assert hierarchy.cpu_quota() == 2.5
+    machine = hierarchy.memory_limit()
+    (old / "memory.limit_in_bytes").write_text("9223372036854771712\n")
+    (own / "memory.max").write_text("max\n")
+    assert hierarchy.memory_limit() == machine
+    (own.parent / "memory.max").write_text(f"{64 << 20}\n")
+    assert hierarchy.memory_limit() == 64 << 20
 
 
 @pytest.mark.skipif(len(cores.whole_cores()) < 2, reason="needs two cores")

@@ -6,19 +6,22 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+import signal
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from slamhive.archive import Archive
 from slamhive.local.home.folder import Home
+from slamhive.local.running import evaluating
 from slamhive.local.running.evaluating import TrajectoryEvaluator
 from slamhive.local.running.evaluations import Unmeasured, bring_up_to_date, measure_record
 from slamhive.local.running.execution import RunDriver
 from slamhive.local.running.workbench import Workbench
 from slamhive.model.evaluation import EvaluationSettings
 from slamhive.model.results import Phase
+from slamhive.monitor.measuring.bounded import BoundedProcess
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -129,3 +132,53 @@ def test_a_disk_that_fails_is_told_from_a_run_that_has_nothing_to_measure(
     found = measure_record(bench, good, ORIGIN)
     assert found == Unmeasured("Read-only file system", is_fault=True)
     assert measure_record(bench, crashed, ORIGIN) == Unmeasured("Failed, it has no trajectory")
+
+
+def test_what_takes_too_much_to_measure_is_noted_and_not_tried_again(
+    run_acts: Callable, bench: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = bench.home.path / "tried"
+
+    def answer(question: tuple[Any, ...], truths: dict[str, Any]) -> Any:
+        if "/greedy/" in str(question[0]) and question[2] != ORIGIN:
+            with tried.open("a") as file:
+                file.write("x")
+            return bytes(1 << 30)
+        return evaluating._measured(question, truths)
+
+    monkeypatch.setattr(bench, "measuring", BoundedProcess(answer, 60, 256 << 20))
+    why = "can't be measured here: it takes more than 256 MiB of memory"
+    _, good = run_acts(["good"])
+    job, notes = run_acts(["good"], name="greedy", cachePolicy="Rerun")
+    record = notes.records[0]
+    assert (record.phase, record.results) == (Phase.SUCCEEDED, [])
+    assert record.message.endswith(f"not evaluated: {why}")
+    assert [one.evaluation for one in good.records[0].results] == ["se3"]
+
+    for _ in range(2):
+        assert bring_up_to_date(bench, job.uid, EvaluationSettings()) == [Unmeasured(f"{record.name}: {why}")]
+    assert tried.read_text() == "x"
+
+    looser = EvaluationSettings.model_validate({"association": {"maxDifference": "20ms"}})
+    for _ in range(2):
+        assert bring_up_to_date(bench, job.uid, looser) == [Unmeasured(f"{record.name}: {why}")]
+    assert tried.read_text() == "xx"
+
+    assert bring_up_to_date(bench, job.uid, ORIGIN) == []
+    found = bench.archive.get(job.run_uid(0))
+    assert [one.evaluation for one in found.results] == ["origin"]
+    assert "not evaluated" not in (found.message or "")
+
+
+def test_a_measuring_that_was_killed_is_tried_again(
+    run_acts: Callable, bench: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def killed(*_: object) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    job, _ = run_acts(["good"])
+    with monkeypatch.context() as patch:
+        patch.setattr(bench, "measuring", BoundedProcess(killed, 60, None))
+        [problem] = bring_up_to_date(bench, job.uid, ORIGIN)
+    assert problem.is_fault
+    assert bring_up_to_date(bench, job.uid, ORIGIN) == []

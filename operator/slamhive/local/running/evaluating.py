@@ -8,13 +8,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.beside import with_others
-from slamhive.analysis.measuring import SEGMENTS, SETTINGS_KEY, measure, read_estimate, settings_hash
+from slamhive.analysis.measuring import (
+    CPU_SECONDS,
+    SEGMENTS,
+    SETTINGS_KEY,
+    measure,
+    read_estimate,
+    settings_hash,
+)
 from slamhive.analysis.subjects import Surroundings, subject_of
 from slamhive.contract.files import compression_problem, open_below
 from slamhive.data.recordings.entries import file_sha256
 from slamhive.local.home.removed import run_parts
-from slamhive.model.errors import DataError, InputError
+from slamhive.model.errors import DataError, InputError, SystemFault
 from slamhive.model.sensors import SensorMode
+from slamhive.monitor.measuring.bounded import BoundedProcess, LimitError
+from slamhive.monitor.measuring.hierarchy import memory_limit
 from slamhive_eval import EvaluationError, read_segments
 
 if TYPE_CHECKING:
@@ -22,6 +31,39 @@ if TYPE_CHECKING:
     from slamhive.local.running.workbench import Workbench
     from slamhive.model.evaluation import EvaluationSettings
     from slamhive.model.results import Result, RunRecord
+
+
+_MEMORY_BYTES = 2 << 30
+"""Memory that measuring a run may take, where the machine has twice that."""
+
+
+class UnmeasurableError(InputError):
+    """Measuring a run takes more than it may: so it would again."""
+
+
+def measuring_process() -> BoundedProcess:
+    """Return the process in which what algorithms wrote is read and measured, one run after another."""
+    return BoundedProcess(_measured, CPU_SECONDS, min(_MEMORY_BYTES, memory_limit() // 2))
+
+
+def _measured(question: tuple[Any, ...], truths: dict[str, Any]) -> Result | Exception:
+    path, dataset, settings, subject, name = question
+    # A system that lost track and began another map says so there: such maps have no common frame.
+    segments = path.with_name(SEGMENTS)
+    try:
+        _require_plain(path)
+        estimate = read_estimate(path)
+        pieces = None
+        if estimate is not None and segments.is_file():
+            _require_plain(segments)
+            pieces = read_segments(segments)
+        result = measure(truths[dataset], estimate, settings, subject, name, pieces=pieces)
+        beside = partial(open_below, path.parent)
+        return with_others(result, beside, truths[dataset], settings, subject, pieces=pieces)
+    except EvaluationError as error:
+        return InputError(str(error))
+    except (InputError, OSError) as error:
+        return error
 
 
 class TrajectoryEvaluator:
@@ -74,20 +116,17 @@ class TrajectoryEvaluator:
             window=(variant.start_time, variant.start_time + variant.duration_seconds),
         )
         subject = subject_of(algorithm.spec, SensorMode(spec["sensors"]), given)
-        # A system that lost track and began another map says so there: such maps have no common frame.
-        segments = path.with_name(SEGMENTS)
+        key = spec["datasetRef"]["name"]
         try:
-            _require_plain(path)
-            estimate = read_estimate(path)
-            pieces = None
-            if estimate is not None and segments.is_file():
-                _require_plain(segments)
-                pieces = read_segments(segments)
-            result = measure(truth.poses, estimate, settings, subject, name, pieces=pieces)
-            beside = partial(open_below, path.parent)
-            return with_others(result, beside, truth.poses, settings, subject, pieces=pieces)
-        except EvaluationError as error:
-            raise InputError(str(error)) from None
+            found = self._bench.measuring.ask((path, key, settings, subject, name), **{key: truth.poses})
+        except LimitError as error:
+            if error.is_lasting:
+                raise UnmeasurableError(f"can't be measured here: {error}") from None
+            raise SystemFault(f"could not be measured: {error}") from None
+        if isinstance(found, Exception):
+            raise found
+        result: Result = found
+        return result
 
     def can_serve(self, twin: RunRecord, spec: dict[str, Any], settings: EvaluationSettings) -> bool:
         """Tell whether an equal run's results are under some settings, or can be measured so."""

@@ -3,22 +3,25 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
 from slamhive.analysis.measuring import SETTINGS_KEY, intended_evaluations, settings_hash
 from slamhive.local.home.removed import absence
-from slamhive.local.running.evaluating import TrajectoryEvaluator
+from slamhive.local.running.evaluating import TrajectoryEvaluator, UnmeasurableError
 from slamhive.model.errors import InputError, SlamHiveError, SystemFault, sentence
-from slamhive.model.results import NOT_EVALUATED, Phase, RunRecord
+from slamhive.model.results import NOT_EVALUATED, IntendedEvaluation, Phase, RunRecord
 from slamhive.model.sensors import SensorMode
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from slamhive.archive import Archive
     from slamhive.local.running.workbench import Workbench
     from slamhive.model.evaluation import Evaluation, EvaluationSettings, RunSelector
+
+_THREADS = 2
 
 
 class Unmeasured(NamedTuple):
@@ -43,18 +46,16 @@ def evaluate_again(bench: Workbench, evaluation: Evaluation) -> tuple[int, list[
     Returns:
         How many were measured, and what could not be.
     """
-    done, problems = 0, []
-    for record in list(select(bench.archive, evaluation.spec.runs)):
+
+    def measured(record: RunRecord) -> Unmeasured | None:
         # Noted first: a run that can't be measured then counts as failed in this Evaluation.
-        _intend(bench, record, evaluation.spec, evaluation.name)
-        problem = measure_record(bench, record, evaluation.spec, evaluation.name)
-        if problem is None:
-            done += 1
-        else:
-            problems.append(problem.of(record.name))
-    if not done and not problems:
-        problems.append(Unmeasured("no finished run is selected"))
-    return done, problems
+        problem = _intend(bench, record, evaluation.spec, evaluation.name)
+        return problem or measure_record(bench, record, evaluation.spec, evaluation.name)
+
+    records = list(select(bench.archive, evaluation.spec.runs))
+    problems = _problems(bench, measured, records)
+    done = len(records) - len(problems)
+    return done, problems or ([] if done else [Unmeasured("no finished run is selected")])
 
 
 def bring_up_to_date(bench: Workbench, sweep_uid: str, settings: EvaluationSettings) -> list[Unmeasured]:
@@ -64,19 +65,35 @@ def bring_up_to_date(bench: Workbench, sweep_uid: str, settings: EvaluationSetti
         The runs that could not be measured.
     """
     wanted = settings_hash(settings)
-    problems = []
-    for record in list(bench.archive.runs({"sweep_uid": sweep_uid})):
-        current = any(result.values.get(SETTINGS_KEY) == wanted for result in record.results)
-        if not current and record.spec.get("evaluate", True):
-            _intend(bench, record, settings)
-        if record.phase is not Phase.SUCCEEDED or current or not record.spec.get("evaluate", True):
-            continue
-        if not record.folder:
-            continue
-        problem = measure_record(bench, record, settings)
-        if problem is not None:
-            problems.append(problem.of(record.name))
-    return problems
+
+    def measured(record: RunRecord) -> Unmeasured | None:
+        problem = _intend(bench, record, settings)
+        if record.phase is not Phase.SUCCEEDED or not record.folder:
+            return None
+        return problem or measure_record(bench, record, settings)
+
+    asked = [
+        record for record in bench.archive.runs({"sweep_uid": sweep_uid}) if record.spec.get("evaluate", True)
+    ]
+    return _problems(
+        bench,
+        measured,
+        [one for one in asked if all(result.values.get(SETTINGS_KEY) != wanted for result in one.results)],
+    )
+
+
+def _problems(
+    bench: Workbench, measured: Callable[[RunRecord], Unmeasured | None], records: list[RunRecord]
+) -> list[Unmeasured]:
+    """Measure runs and return their problems: one is looked up while another is measured."""
+    with ThreadPoolExecutor(_THREADS) as pool:
+        try:
+            found = list(pool.map(measured, records))
+        except BaseException:  # Ctrl-C waits for none
+            pool.shutdown(wait=False, cancel_futures=True)
+            bench.measuring.close()
+            raise
+    return [problem.of(record.name) for record, problem in zip(records, found, strict=True) if problem]
 
 
 def measure_record(
@@ -102,13 +119,17 @@ def measure_record(
             return Unmeasured(f"dataset {dataset!r} has changed since this run was made")
         result = TrajectoryEvaluator(bench).measure_file(path, record.spec, settings, name=name)
     except (SlamHiveError, OSError) as error:
+        if isinstance(error, UnmeasurableError):
+            noted = [one.replace(problem=str(error)) for one in _intended(bench, record, settings, name)]
+            bench.archive.put_evaluations(record.uid, noted)
         return Unmeasured(sentence(error), is_fault=isinstance(error, SystemFault | OSError))
     if result is None:
         return Unmeasured("its dataset has no ground truth")
     said, why, _ = (record.message or "").partition(NOT_EVALUATED)
     if why:  # it is now
         message = said.removesuffix("; ") or None
-        bench.archive.put_run(record.replace(message=message, results=[result]))
+        kept = bench.archive.get(record.uid) or record  # as its intended evaluations are by now
+        bench.archive.put_run(kept.replace(message=message, results=[result]))
     else:
         bench.archive.put_result(record.uid, result)
     return None
@@ -116,16 +137,30 @@ def measure_record(
 
 def _intend(
     bench: Workbench, record: RunRecord, settings: EvaluationSettings, name: str | None = None
-) -> None:
-    """Note an intended evaluation at a run: if the run failed, it counts as failed there."""
+) -> Unmeasured | None:
+    """Note an intended evaluation at a run: if the run failed, it counts as failed there.
+
+    Returns:
+        Why it can't be measured so, where that was found out before.
+    """
+    found = _intended(bench, record, settings, name)
+    for noted in record.evaluations:
+        if noted.problem is not None and noted.replace(problem=None) in found:
+            return Unmeasured(noted.problem)
+    if not set(found) <= set(record.evaluations):
+        bench.archive.put_evaluations(record.uid, found)
+    return None
+
+
+def _intended(
+    bench: Workbench, record: RunRecord, settings: EvaluationSettings, name: str | None
+) -> list[IntendedEvaluation]:
     dataset = None
     with suppress(SlamHiveError, KeyError):
         dataset = bench.workshop.dataset(record.spec["datasetRef"]["name"]).dataset.spec
     if record.spec.get("sensors") not in set(SensorMode):  # as of a record of another program
-        return
-    found = intended_evaluations(settings, SensorMode(record.spec["sensors"]), dataset, name)
-    if not set(found) <= set(record.evaluations):
-        bench.archive.put_evaluations(record.uid, found)
+        return []
+    return intended_evaluations(settings, SensorMode(record.spec["sensors"]), dataset, name)
 
 
 def select(archive: Archive, selector: RunSelector) -> Iterator[RunRecord]:

@@ -33,7 +33,7 @@ from slamhive.local.programs.prepared import AttemptOrder
 from slamhive.local.programs.unavailable import ImageMissing, Unavailable
 from slamhive.local.running.attempt import Attempt
 from slamhive.local.running.configuring import configured
-from slamhive.local.running.evaluating import TrajectoryEvaluator
+from slamhive.local.running.evaluating import TrajectoryEvaluator, UnmeasurableError
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError, SettingsError, SlamHiveError, sentence
 from slamhive.model.results import (
@@ -151,6 +151,7 @@ class _Progress:
     twin: RunRecord | None = None
     results: list[Result] = field(default_factory=list)
     remark: str | None = None
+    unmeasurable: str | None = None
     provenance: Provenance = field(default_factory=Provenance)
 
 
@@ -350,6 +351,7 @@ class RunDriver:
             result = self._evaluator.measure_file(path, self._spec, settings, progress.variant)
             progress.results = [result] if result else []
         except (SlamHiveError, OSError) as error:
+            progress.unmeasurable = str(error) if isinstance(error, UnmeasurableError) else None
             progress.remark = f"{NOT_EVALUATED}{sentence(error)}"
 
     def _prepare(self) -> None:
@@ -428,6 +430,9 @@ class RunDriver:
                 results = self._evaluator.results_of_twin(progress.twin, self._spec, order.settings)
             except (SlamHiveError, OSError) as error:
                 base, results = base.replace(message=f"{NOT_EVALUATED}{sentence(error)}"), []
+                if isinstance(error, UnmeasurableError):
+                    noted = [one.replace(problem=str(error)) for one in base.evaluations]
+                    base = base.replace(evaluations=noted)
             taken = taken_over(progress.twin, self._recording(), [cpu_model()])
             return base.replace(**taken, results=results)
         if not ended:
@@ -454,7 +459,8 @@ class RunDriver:
         # then.
         with suppress(SlamHiveError):
             dataset = self._bench.workshop.dataset(self._spec["datasetRef"]["name"]).dataset.spec
-        return intended_evaluations(self._order.settings, SensorMode(self._spec["sensors"]), dataset)
+        found = intended_evaluations(self._order.settings, SensorMode(self._spec["sensors"]), dataset)
+        return [one.replace(problem=self._progress.unmeasurable) for one in found]
 
     def _provenance(self) -> Provenance:
         """Return the provenance of the result, with what the recording gave of what was asked of it."""

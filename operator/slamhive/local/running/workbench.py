@@ -18,6 +18,7 @@ from slamhive.local.programs.environments import digest_of
 from slamhive.local.programs.executors import Programs
 from slamhive.local.programs.unavailable import GivenUp
 from slamhive.local.programs.versions import Versions
+from slamhive.local.running.evaluating import measuring_process
 from slamhive.model.base import quantity
 from slamhive.model.errors import InputError
 from slamhive.model.results import Provenance
@@ -83,6 +84,7 @@ class Workbench:
         """Datasets, recordings and environments that are being made are wanted no more."""
         self.programs = Programs(home, container, notify, self.making, lambda: self.gives_up)
         self.versions = Versions(home.path / "versions")
+        self.measuring = measuring_process()
         self._notify = notify
         self._datasets: dict[str, DatasetEntry] = {}
         self._checksums: dict[str, str] = {}

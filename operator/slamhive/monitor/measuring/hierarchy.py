@@ -11,7 +11,7 @@ from slamhive.monitor.measuring.processes import read_file
 from slamhive.monitor.measuring.sources import field, read_number
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +69,22 @@ def hierarchies_of(process: int | str) -> list[Hierarchy]:
 
 def cpu_quota() -> float | None:
     """Return the number of processors that cgroups allow us, as containers limit it; None for no limit."""
+    return _least(lambda directory: _quota_v2(directory) or _quota_v1(directory))
+
+
+def memory_limit() -> int:
+    """Return the bytes of memory that there are for us: the machine's, or those that cgroups allow."""
+    allowed = _least(
+        lambda directory: (
+            read_number(f"{directory}/memory.max") or read_number(f"{directory}/memory.limit_in_bytes")
+        )
+    )
+    machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return machine if allowed is None else min(machine, int(allowed))
+
+
+def _least(limit: Callable[[str], float | None]) -> float | None:
+    """Return the least limit of our cgroups and those that they are in."""
     limits = []
     try:
         trees = own_hierarchies()
@@ -77,7 +93,7 @@ def cpu_quota() -> float | None:
     for tree in trees:
         directory = tree.directory
         while directory.startswith(tree.mount):
-            limits.append(_quota_v2(directory) if tree.version == 2 else _quota_v1(directory))
+            limits.append(limit(directory))
             directory = directory.rpartition("/")[0]
     return min((limit for limit in limits if limit is not None), default=None)
 
