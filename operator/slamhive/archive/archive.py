@@ -316,16 +316,17 @@ class Archive:
         Args:
             sweep_uid: the sweep's identity; two sweeps may have one name.
         """
-        runs = schema.runs.c
+        runs, results = schema.runs.c, schema.results.c
+        measured = select(func.count()).where(results.run_id == runs.id).scalar_subquery()
         query = (
-            select(runs.uid, runs.point, runs.phase, runs.reason, runs.content_hash)
+            select(runs.uid, runs.point, runs.phase, runs.reason, measured)
             .where(runs.sweep_uid == sweep_uid, runs.phase.in_(_FINISHED))
             .order_by(runs.id)
         )
         with reading(self._engine) as connection:
             return {
-                uid: FinishedPoint(point, Phase(phase), Reason(reason) if reason else None, content)
-                for uid, point, phase, reason, content in connection.execute(query)
+                uid: FinishedPoint(point, Phase(phase), Reason(reason) if reason else None, count)
+                for uid, point, phase, reason, count in connection.execute(query)
             }
 
     def earlier(self, sweep: str) -> list[EarlierRun]:

@@ -243,6 +243,7 @@ class SweepStatus(Status):
     failed: _Count | None = optional("Number of runs: failed.")
     reused: _Count | None = optional("Number of runs: reused.")
     evaluated: _Count | None = optional("Number of runs: evaluated.")
+    deleted: _Count | None = optional("Number of runs that somebody deleted.")
     phase: str | None = optional("Where the Sweep stands, for printing.", max_length=32)
     progress: str | None = optional("Runs that are done, of all.", max_length=32)
     display: SweepDisplay | None = optional("Figures as kubectl prints them.")

@@ -58,6 +58,7 @@ from slamhive.plan import option_problems, resolve, spec_hash
 if TYPE_CHECKING:
     from slamhive.engine import Decision
     from slamhive.kube.cluster import Cluster
+    from slamhive.kube.reconciling.archiving import Keeper
     from slamhive.kube.reconciling.catalogue import Catalogue
     from slamhive.kube.reconciling.evaluating import Evaluations
     from slamhive.kube.reconciling.reuse import ReusableRuns
@@ -83,15 +84,24 @@ class RunReconciler:
         catalogue: Algorithms and Datasets.
         evaluations: who measures finished runs.
         reusable: finished runs by content.
+        keeper: keeps runs that belong to no Sweep in the archive, if there is one.
     """
 
-    def __init__(self, catalogue: Catalogue, evaluations: Evaluations, reusable: ReusableRuns) -> None:
+    def __init__(
+        self,
+        catalogue: Catalogue,
+        evaluations: Evaluations,
+        reusable: ReusableRuns,
+        keeper: Keeper | None = None,
+    ) -> None:
         self._catalogue = catalogue
         self._evaluations = evaluations
         self._reusable = reusable
         self._recorder = RunRecorder(catalogue, evaluations, reusable)
         self._waiting: set[Key] = set()
         self._resolved: dict[Key, _Resolved] = {}
+        self._keeper = keeper
+        self._kept: dict[str, str] = {}
 
     def waiting(self, namespace: str) -> list[Key]:
         """Return the runs that wait for the catalog."""
@@ -110,6 +120,8 @@ class RunReconciler:
             self._resolved.pop(key, None)
             self._reusable.learn(run)
             self._evaluations.consider(cluster, run)
+            if self._keeper is not None and Label.SWEEP not in labels_of(run):
+                await self._keeper.keep_single(cluster, run, self._kept)
             return None
         state = run_state(MappingRunStatus.of(run))
         try:

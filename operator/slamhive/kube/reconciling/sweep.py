@@ -23,9 +23,17 @@ from slamhive.engine import (
 )
 from slamhive.kube.api.errors import REFUSALS, AlreadyExists, Conflict
 from slamhive.kube.api.kinds import Key, Kind, Label, Object, key_of, owner_uids
-from slamhive.kube.reconciling.archiving import ArchiveAway, Retirement, at_its_end, in_thread
+from slamhive.kube.reconciling.archiving import ArchiveAway, Keeper, in_thread, is_kept
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.reconciling.evaluation_groups import SWEEP_PREFIX
+from slamhive.kube.reconciling.sweep_losses import (
+    announcement,
+    are_missing,
+    give_up,
+    remark,
+    take_back,
+    take_out,
+)
 from slamhive.kube.reconciling.sweep_runs import (
     Finished,
     SweepTally,
@@ -38,7 +46,7 @@ from slamhive.kube.reconciling.sweep_runs import (
     state_of,
 )
 from slamhive.kube.reconciling.sweep_state import SweepMemory, remember
-from slamhive.kube.status import condition, holds, iso, metres, moment, status_patch
+from slamhive.kube.status import condition, holds, iso, metres, moment, phase_of, status_patch
 from slamhive.model.base import seconds
 from slamhive.model.errors import InputError
 from slamhive.model.status import SweepDisplay, SweepStatus
@@ -98,7 +106,7 @@ class SweepReconciler:
     def __init__(self, catalogue: Catalogue, archive: Archive | None = None) -> None:
         self._catalogue = catalogue
         self._archive = archive
-        self._retirement = Retirement(catalogue, archive) if archive is not None else None
+        self._keeper = Keeper(catalogue, archive) if archive is not None else None
         self._memory: dict[str, SweepMemory] = {}
         self._parsed: dict[str, tuple[int, Sweep]] = {}
         self._waiting: set[Key] = set()
@@ -113,7 +121,7 @@ class SweepReconciler:
         self._waiting.discard(key)
         body = cluster.store.get(key)
         if body is None or body["metadata"].get("deletionTimestamp"):
-            self._tidy(cluster)
+            await self._tidy(cluster)
             return None
         try:
             again = await self._reconcile(cluster, key, body)
@@ -151,16 +159,42 @@ class SweepReconciler:
             return _LOOK_SECONDS
         return await self._drive_window(cluster, seen, now)
 
-    def _tidy(self, cluster: Cluster) -> None:
+    async def _tidy(self, cluster: Cluster) -> None:
         alive = {
             body["metadata"]["uid"]
             for namespace in cluster.settings.namespaces
             for body in cluster.store.of(Kind.SWEEP, namespace)
         }
-        for uid in [uid for uid in (*self._memory, *self._parsed, *self._archive_away) if uid not in alive]:
+        for uid in [uid for uid in self._memory if uid not in alive]:
+            memory = self._memory.pop(uid)
+            try:
+                await self._part(cluster, self._parsed[uid][1], memory)
+            except ArchiveAway:
+                self._memory[uid] = memory
+                raise
+        for uid in [uid for uid in (*self._parsed, *self._archive_away) if uid not in alive]:
             self._archive_away.pop(uid, None)
-            self._memory.pop(uid, None)
             self._parsed.pop(uid, None)
+
+    async def _part(self, cluster: Cluster, sweep: Sweep, memory: SweepMemory) -> None:
+        """Archive what has ended of a Sweep that was deleted, and tell what stays of it."""
+        meta = sweep.metadata
+        key = Key(Kind.SWEEP, meta.namespace or "", sweep.name)
+        runs = {run["metadata"]["uid"]: run for run in _owned(cluster, key, meta.uid or "")}
+        ended = {one.run["metadata"]["uid"]: one.run for one in memory.finished.values()}
+        ended |= {uid: run for uid, run in runs.items() if phase_of(run["status"]).is_finished}
+        text = f"{len(ended)} runs that had ended "
+        if self._keeper is not None:
+            fresh = [run for run in ended.values() if not is_kept(run, memory.kept)]
+            await self._keeper.keep(cluster, fresh, sweep.spec.evaluation, memory.kept)
+            kept = sweep.spec.retention.files == "Keep"
+            files = "their folders stay where they are" if kept else "the collector removes their folders"
+            text += f"are in the archive, as are those that were retired; {files}"
+        else:
+            text += "are gone with it, as there is no archive; the collector removes their folders"
+        regarding = {"metadata": {"name": sweep.name, "namespace": key.namespace, "uid": meta.uid}}
+        bad = ended and self._keeper is None
+        await cluster.api.event(Kind.SWEEP, regarding, "Warning" if bad else "Normal", "Deleted", text)
 
     def _sweep(self, body: Object) -> Sweep:
         uid, generation = body["metadata"]["uid"], body["metadata"].get("generation", 1)
@@ -173,7 +207,7 @@ class SweepReconciler:
     async def _remembered(self, cluster: Cluster, key: Key, body: Object, sweep: Sweep) -> SweepMemory:
         uid = body["metadata"]["uid"]
         if uid not in self._memory:
-            live = {run["metadata"]["uid"]: state_of(run) for run in _own(cluster, key, uid)}
+            live = [run for run in _own(cluster, key, uid) if point_of(run) is not None]
             accepted = bool(holds(body["status"], "Accepted"))
             catalog = self._catalogue.all(cluster.store, key.namespace)
             memory = await remember(
@@ -202,12 +236,7 @@ class SweepReconciler:
             index = point_of(run)
             if index is not None and index < len(memory.states):
                 runs[index] = run
-        # Their objects are gone, but their CPU time and results still count: for budgets, and for `best`.
-        gone = [index for index in memory.finished if index not in runs]
-        for index in gone:
-            memory.archived.add(Finished.of(await at_its_end(self._archive, memory.finished[index].run)))
-            del memory.finished[index]
-        await self._look_for_missing(cluster, key, body["metadata"]["uid"], memory, runs)
+        await self._look_for_missing(cluster, body, sweep, memory, runs)
         for index, run in runs.items():
             known = memory.finished.get(index)
             # The store has the same object until there is a newer one: hundreds are looked at each time.
@@ -217,14 +246,15 @@ class SweepReconciler:
                 if memory.states[index] != PointState.ACTIVE:
                     memory.finished[index] = Finished.of(run)
         tally = replace(memory.archived)
-        tally.add(*memory.finished.values())
+        tally.add(*memory.finished.values(), *memory.deleted.values())
         return _SweepPicture(key, body, sweep, memory, runs, tally)
 
-    @staticmethod
     async def _look_for_missing(
-        cluster: Cluster, key: Key, uid: str, memory: SweepMemory, runs: dict[int, Object]
+        self, cluster: Cluster, body: Object, sweep: Sweep, memory: SweepMemory, runs: dict[int, Object]
     ) -> None:
-        """Find out about points in flight whose runs are not seen: deleted by someone, which cancels them."""
+        """Find out about points whose runs are not seen any more: deleted by someone, which cancels them."""
+        key, uid = key_of(Kind.SWEEP, body), body["metadata"]["uid"]
+        missing = []
         index = memory.states.find(PointState.ACTIVE)
         while index >= 0:
             if index not in runs:
@@ -235,8 +265,19 @@ class SweepReconciler:
                 if run is not None and _is_of(run, uid):
                     runs[index] = run
                 else:
-                    memory.states[index] = PointState.FAILED
+                    missing.append(index)
             index = memory.states.find(PointState.ACTIVE, index + 1)
+        if missing or are_missing(memory, runs):
+            # A Sweep that is deleted takes its runs with it, and the watch of runs may tell before its own.
+            there = await cluster.refresh(key)
+            if there is None or there["metadata"]["uid"] != uid or there["metadata"].get("deletionTimestamp"):
+                raise Conflict(f"{key} is being deleted", status=409)
+        names = await take_out(memory, self._archive, sweep.spec.retention.runs, runs)
+        names += [give_up(memory, index) for index in missing]
+        take_back(memory, runs)
+        if names:
+            text = announcement(memory, names)
+            await cluster.api.event(Kind.SWEEP, body, "Warning", "RunsDeleted", text)
 
     async def _drive_window(self, cluster: Cluster, seen: _SweepPicture, now: float) -> float | None:
         """Start or stop what is due, write what changed, and archive what is done."""
@@ -266,10 +307,8 @@ class SweepReconciler:
         if sweep.spec.budget.wall_time is not None and decision.verdict is Verdict.RUNNING:
             delays.append(_budget_left(sweep, memory, now))
         delays += await self._write_status(cluster, seen, decision, blocked, now)
-        if self._archive is not None and self._retirement is not None:
-            delays += await self._retirement.retire(
-                cluster, seen.key, sweep, len(memory.states), seen.settled
-            )
+        if self._archive is not None and self._keeper is not None:
+            delays += await self._keeper.retire(cluster, seen.key, sweep, memory, seen.settled)
             if seen.body["metadata"]["uid"] in self._archive_away:
                 await in_thread(self._archive.get, seen.body["metadata"]["uid"])
                 # It answers again: what was held back may start.
@@ -359,12 +398,15 @@ class SweepReconciler:
         over = decision.verdict.is_final and settled
         if over and not body["status"].get("completionTime"):
             status |= SweepStatus(completion_time=iso(now))
-        if not status_patch(body, status.as_patch(), conditions, now):
+        is_news = bool(status_patch(body, status.as_patch(), conditions, now))
+        fresh = [run for run in seen.settled if not is_kept(run, memory.kept)] if self._keeper else []
+        if not is_news and not fresh:
             return []
         # However many runs end, the status is written once in this time; the Sweep's own end does not wait.
         wait = memory.written_at + cluster.settings.sweep_write_seconds - now
-        if wait > 0 and not over:
+        if wait > 0 and not (over and is_news):
             return [wait]
+        away = await self._keep(cluster, seen, fresh)
         # Noted before the answer: where that is lost, the write may have been done and must not look like
         # another operator's.
         memory.points = status.points
@@ -373,7 +415,21 @@ class SweepReconciler:
         if blocked and not holds(body["status"], "Blocked"):
             await cluster.api.event(Kind.SWEEP, answer, "Warning", "CannotCreate", blocked)
         await self._announce_phase(cluster, body, answer)
+        if away is not None:
+            raise away
         return []
+
+    async def _keep(self, cluster: Cluster, seen: _SweepPicture, runs: list[Object]) -> ArchiveAway | None:
+        """Archive runs before the status counts them: whoever deletes the Sweep then loses none of them.
+
+        An archive that is away is told after the status is written, as the Sweep goes on.
+        """
+        try:
+            if self._keeper is not None:
+                await self._keeper.keep(cluster, runs, seen.sweep.spec.evaluation, seen.memory.kept)
+        except ArchiveAway as error:
+            return error
+        return None
 
     @staticmethod
     async def _announce_phase(cluster: Cluster, before: Object, after: Object) -> None:
@@ -403,9 +459,13 @@ async def _tell_archive(cluster: Cluster, key: Key, told: Object) -> None:
         await cluster.api.event(Kind.SWEEP, answer, "Warning", told["type"], told["message"])
 
 
-def _own(cluster: Cluster, key: Key, uid: str) -> list[Object]:
+def _owned(cluster: Cluster, key: Key, uid: str) -> list[Object]:
     runs = cluster.store.select(Kind.MAPPING_RUN, key.namespace, Label.SWEEP, key.name)
-    return [run for run in runs if _is_of(run, uid)]
+    return [run for run in runs if uid in owner_uids(run)]
+
+
+def _own(cluster: Cluster, key: Key, uid: str) -> list[Object]:
+    return [run for run in _owned(cluster, key, uid) if _is_of(run, uid)]
 
 
 def _is_of(run: Object, uid: str) -> bool:
@@ -460,6 +520,7 @@ def _figures(memory: SweepMemory, tally: SweepTally) -> SweepStatus:
         progress=f"{done}/{total}",
         best=tally.best,
         points=encode_points(memory.states),
+        deleted=memory.deletions or None,
     )
     if tally.best:
         status |= SweepStatus(display=SweepDisplay(ate=metres(tally.best[0].ate)))
@@ -473,9 +534,10 @@ def _standing(
     verdict = decision.verdict
     final = verdict.is_final
     phase = str(verdict) if settled or not final else "Evaluating"
+    told = "; ".join(filter(None, (decision.message, remark(seen.memory))))
     fresh = [
         condition("Accepted", True, "Accepted", seen.memory.remarks),
-        condition("Complete", final and settled, str(verdict) if final else "Running", decision.message),
+        condition("Complete", final and settled, str(verdict) if final else "Running", told),
         condition(
             "Suspended", verdict is Verdict.SUSPENDED, "Suspended" if seen.sweep.spec.suspend else "Active"
         ),
