@@ -22,7 +22,9 @@ from slamhive.engine import (
     decide_sweep,
 )
 from slamhive.kube.api.errors import REFUSALS, AlreadyExists, Conflict
-from slamhive.kube.api.kinds import Key, Kind, Label, Object, key_of, owner_uids
+from slamhive.kube.api.kinds import Key, Kind, Label, Object, key_of, labels_of, owner_uids
+from slamhive.kube.builders.common import label_value
+from slamhive.kube.pods import live_pods
 from slamhive.kube.reconciling.archiving import ArchiveAway, Keeper, in_thread, is_kept
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.reconciling.evaluation_groups import SWEEP_PREFIX
@@ -63,6 +65,7 @@ _LONGEST_LOOK_SECONDS = 0.3
 _MANY = 100
 _BLOCKED_SECONDS = 5.0
 _AWAY_SECONDS = 10.0
+_LEAVING_SECONDS = 1.0
 _SHOWN_PROBLEMS = 20
 _AT_ONCE = 16
 _BATCHES_WAITING = 2
@@ -282,10 +285,12 @@ class SweepReconciler:
     async def _drive_window(self, cluster: Cluster, seen: _SweepPicture, now: float) -> float | None:
         """Start or stop what is due, write what changed, and archive what is done."""
         memory, sweep = seen.memory, seen.sweep
+        leaving = _leaving(cluster, seen)
+        window = sweep.spec.parallelism or cluster.settings.default_parallelism
         observed = SweepObserved(
             states=memory.states,
             order=memory.order,
-            parallelism=sweep.spec.parallelism or cluster.settings.default_parallelism,
+            parallelism=max(0, window - len(leaving)),
             started_at=memory.started_at,
             cpu_seconds=seen.tally.cpu_seconds,
             cursor=memory.cursor,
@@ -296,14 +301,15 @@ class SweepReconciler:
         blocked: str | None = None
         for action in decision.actions:
             match action:
-                case StartPoints() if self._is_held_back(seen, observed.parallelism):
+                case StartPoints() if self._is_held_back(seen, window):
                     pass
                 case StartPoints(indices):
-                    blocked = self._backlog(cluster, seen, observed.parallelism)
+                    blocked = self._backlog(cluster, seen, window)
                     blocked = blocked or await self._start(cluster, seen, indices, now)
                 case StopPoints(indices):
                     await self._cancel(cluster, [seen.runs[index] for index in indices if index in seen.runs])
         delays = [_BLOCKED_SECONDS] if blocked else []
+        delays += [_LEAVING_SECONDS] if leaving else []
         if sweep.spec.budget.wall_time is not None and decision.verdict is Verdict.RUNNING:
             delays.append(_budget_left(sweep, memory, now))
         delays += await self._write_status(cluster, seen, decision, blocked, now)
@@ -344,7 +350,7 @@ class SweepReconciler:
             await _insist_on_newest(cluster, seen)
         if seen.memory.started_at is None:
             seen.memory.started_at = now
-        used = slots_used(seen.runs.values())
+        used = slots_used([*seen.runs.values(), *_leaving(cluster, seen)])
         limit = asyncio.Semaphore(_AT_ONCE)
 
         async def create(index: int, slot: int) -> str | None:
@@ -496,6 +502,14 @@ async def _insist_on_newest(cluster: Cluster, seen: _SweepPicture) -> None:
     fresh = await cluster.refresh(seen.key)
     if fresh is None or fresh["metadata"]["resourceVersion"] != seen.body["metadata"]["resourceVersion"]:
         raise Conflict(f"{seen.key} has changed since it was looked at", status=409)
+
+
+def _leaving(cluster: Cluster, seen: _SweepPicture) -> list[Object]:
+    """Return the pods at work whose runs were deleted or are over: a slot is free when its pod has ended."""
+    going = (run for run in seen.runs.values() if state_of(run) is PointState.ACTIVE)
+    active = {label_value(run["metadata"]["name"]) for run in going}
+    pods = cluster.store.select(Kind.POD, seen.key.namespace, Label.SWEEP, label_value(seen.key.name))
+    return [pod for pod in live_pods(pods) if labels_of(pod).get(Label.RUN) not in active]
 
 
 def _budget_left(sweep: Sweep, memory: SweepMemory, now: float) -> float:
