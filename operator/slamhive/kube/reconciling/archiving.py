@@ -21,7 +21,7 @@ from slamhive.model.errors import SlamHiveError, SystemFault, UnknownNameError
 from slamhive.model.evaluation import EvaluationSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from slamhive.archive import Archive
     from slamhive.kube.cluster import Cluster
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from slamhive.model.sweep import Sweep
 
 _AT_ONCE = 50
+_KNOWN = 10_000
 _DELETED_AT_ONCE = 16
 
 P = ParamSpec("P")
@@ -96,12 +97,19 @@ class Keeper:
         """Write a run that belongs to no Sweep into the archive, once nothing more will be written of it."""
         if not is_settled(run) or is_kept(run, kept):
             return
+        if len(kept) >= _KNOWN:
+            kept.clear()  # it is looked up again
         uid, version = _identity(run)
         known = None if uid in kept else await in_thread(self._archive.get, uid)
         if known is not None and known.results == record_of(run).results:
             kept[uid] = version
         else:
             await self.keep(cluster, [run], EvaluationSettings(), kept)
+
+    async def forget(self, uids: Iterable[str]) -> None:
+        """Remove runs from the archive, of which there are later ones."""
+        if gone := [*uids]:
+            await in_thread(self._archive.remove_runs, gone)
 
     async def retire(
         self, cluster: Cluster, key: Key, sweep: Sweep, memory: SweepMemory, settled: list[Object]

@@ -433,6 +433,10 @@ class SweepReconciler:
         try:
             if self._keeper is not None:
                 await self._keeper.keep(cluster, runs, seen.sweep.spec.evaluation, seen.memory.kept)
+                points = seen.memory.replaced.keys() & {point_of(run) for run in seen.settled}
+                await self._keeper.forget(uid for index in points for uid in seen.memory.replaced[index])
+                for index in points:
+                    del seen.memory.replaced[index]
         except ArchiveAway as error:
             return error
         return None

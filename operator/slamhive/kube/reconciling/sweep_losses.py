@@ -77,20 +77,20 @@ def give_up(memory: SweepMemory, index: int) -> str:
 
 
 def take_back(memory: SweepMemory, runs: Mapping[int, Object]) -> None:
-    """Forget of deleted runs those that are there again: each point counts once."""
+    """Count each point once: of deleted runs those that are there again count no more."""
     memory.lost -= runs.keys()
     for index in memory.deleted.keys() & runs.keys():
-        del memory.deleted[index]
+        former = memory.deleted.pop(index).run["metadata"]["uid"]
+        memory.replaced.setdefault(index, set()).add(former)
 
 
 def remark(memory: SweepMemory) -> str:
-    """Return a sentence on the runs that were deleted by hand; empty where none was."""
-    # What went while no operator looked is seen by what is missing.
-    count, lost = max(memory.deletions, len(memory.lost)), len(memory.lost)
+    """Return a sentence on the runs that were deleted by hand; empty where nothing is missing."""
+    count, lost = memory.deletions, len(memory.lost)
     if not count:
-        return ""
+        return f"nothing is left of {_runs(lost)} that were done" if lost else ""
     left = f"nothing is left of {lost}" if lost else "their results are in the archive"
-    return f"{_counted(count)} deleted by hand: {left}"
+    return f"{_runs(count)} {'were' if count > 1 else 'was'} deleted by hand: {left}"
 
 
 def announcement(memory: SweepMemory, names: list[str]) -> str:
@@ -99,5 +99,5 @@ def announcement(memory: SweepMemory, names: list[str]) -> str:
     return f"deleted by hand: {', '.join(names[:_SHOWN])}{more}; in all {remark(memory)}"
 
 
-def _counted(count: int) -> str:
-    return f"{count} runs were" if count > 1 else "1 run was"
+def _runs(count: int) -> str:
+    return f"{count} runs" if count != 1 else "1 run"

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamhive.archive import Archive
-    from slamhive.archive.records import FinishedPoint
     from slamhive.kube.api.kinds import Object
     from slamhive.model.status import SweepStatus
     from slamhive.model.sweep import Axis, Sweep
@@ -56,6 +55,7 @@ class SweepMemory:
         retired: UIDs of its runs that were deleted here, as they are beyond the retention.
         deletions: how many of its runs were deleted by others.
         deleted: of these the finished ones, by point, unless that was done again.
+        replaced: UIDs of runs that were deleted and are done again, by point: their records go then.
         lost: points that are done, of whose runs neither object nor record is left.
     """
 
@@ -75,6 +75,7 @@ class SweepMemory:
     retired: set[str] = field(default_factory=set)
     deletions: int = 0
     deleted: dict[int, Finished] = field(default_factory=dict)
+    replaced: dict[int, set[str]] = field(default_factory=dict)
     lost: set[int] = field(default_factory=set)
 
 
@@ -184,7 +185,7 @@ def _recall(
     )
     present = {run["metadata"]["uid"]: run for run in live}
     points = {point_of(run) for run in live}
-    latest: dict[int, tuple[str, FinishedPoint]] = {}
+    ended: set[int] = set()
     without = set(present)
     for run, point in archive.finished(uid).items():
         if run in present:
@@ -192,17 +193,15 @@ def _recall(
             if len(present[run]["status"].get("results") or ()) == point.results:
                 memory.kept[run] = present[run]["metadata"]["resourceVersion"]
         elif point.index is not None and point.index < len(memory.states):
-            # A run that was deleted and done again counts once: a live one before all, else the last.
+            # A run that was deleted and is done again counts once.
             if point.index in points:
+                memory.replaced.setdefault(point.index, set()).add(run)
                 without.add(run)
-                continue
-            if point.index in latest:
-                without.add(latest[point.index][0])
-            latest[point.index] = run, point
-    for index, (_, point) in latest.items():
-        succeeded = point.phase is Phase.SUCCEEDED
-        memory.states[index] = PointState.SUCCEEDED if succeeded else PointState.FAILED
+            else:
+                succeeded = point.phase is Phase.SUCCEEDED
+                memory.states[point.index] = PointState.SUCCEEDED if succeeded else PointState.FAILED
+                ended.add(point.index)
     totals = archive.totals(uid, without)
     memory.archived.reused, memory.archived.evaluated = totals.reused, totals.evaluated
     memory.archived.cpu_seconds = totals.cpu_seconds
-    return {*latest}
+    return ended
