@@ -7,6 +7,7 @@ A Sweep's runs are written together, before its status counts them: whoever dele
 from __future__ import annotations
 
 import asyncio
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from slamhive.archive import CatalogEntry
@@ -21,12 +22,11 @@ from slamhive.model.errors import SlamHiveError, SystemFault, UnknownNameError
 from slamhive.model.evaluation import EvaluationSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable
 
     from slamhive.archive import Archive
     from slamhive.kube.cluster import Cluster
     from slamhive.kube.reconciling.catalogue import Catalogue
-    from slamhive.kube.reconciling.sweep_state import SweepMemory
     from slamhive.model.results import RunRecord
     from slamhive.model.sweep import Sweep
 
@@ -67,6 +67,27 @@ async def at_its_end(archive: Archive | None, run: Object) -> Object:
     return run | {"status": run["status"] | {"results": [result_field(item) for item in record.results]}}
 
 
+@dataclass
+class KeptRuns:
+    """Runs that are known to be in the archive, those of a Sweep or those of none.
+
+    Attributes:
+        versions: their versions there, by UID.
+        retired: UIDs of those that were deleted here, as they are beyond the retention.
+    """
+
+    versions: dict[str, str] = field(default_factory=dict)
+    retired: set[str] = field(default_factory=set)
+
+    def has(self, run: Object) -> bool:
+        """Tell whether a run is there as it is now."""
+        return self.versions.get(run["metadata"]["uid"]) == run["metadata"]["resourceVersion"]
+
+    def add(self, run: Object) -> None:
+        """Note that a run is there as it is now."""
+        self.versions[run["metadata"]["uid"]] = run["metadata"]["resourceVersion"]
+
+
 class Keeper:
     """Keeps finished runs in the archive.
 
@@ -80,31 +101,32 @@ class Keeper:
         self._archive = archive
 
     async def keep(
-        self, cluster: Cluster, runs: list[Object], settings: EvaluationSettings, kept: dict[str, str]
+        self, cluster: Cluster, runs: list[Object], settings: EvaluationSettings, kept: KeptRuns
     ) -> None:
-        """Write runs into the archive, and what versions of them were written into ``kept``, by UID.
+        """Write those of some runs into the archive that are not there as they are now.
 
         Raises:
             ArchiveAway: the archive does not answer.
         """
-        for start in range(0, len(runs), _AT_ONCE):
-            batch = runs[start : start + _AT_ONCE]
+        fresh = [run for run in runs if not kept.has(run)]
+        for start in range(0, len(fresh), _AT_ONCE):
+            batch = fresh[start : start + _AT_ONCE]
             records = [self._records(cluster, settings, run) for run in batch]
             await in_thread(self._archive.put_used, records)
-            kept.update(map(_identity, batch))
+            for run in batch:
+                kept.add(run)
 
-    async def keep_single(self, cluster: Cluster, run: Object, kept: dict[str, str]) -> None:
+    async def keep_single(self, cluster: Cluster, run: Object, kept: KeptRuns) -> None:
         """Write a run that belongs to no Sweep into the archive, once nothing more will be written of it."""
-        if not is_settled(run) or is_kept(run, kept):
+        if not is_settled(run) or kept.has(run):
             return
-        if len(kept) >= _KNOWN:
-            kept.clear()  # it is looked up again
-        uid, version = _identity(run)
-        known = None if uid in kept else await in_thread(self._archive.get, uid)
+        if len(kept.versions) >= _KNOWN:
+            kept.versions.clear()  # they are looked up again
+        uid = run["metadata"]["uid"]
+        known = None if uid in kept.versions else await in_thread(self._archive.get, uid)
         if known is not None and known.results == record_of(run).results:
-            kept[uid] = version
-        else:
-            await self.keep(cluster, [run], EvaluationSettings(), kept)
+            kept.add(run)
+        await self.keep(cluster, [run], EvaluationSettings(), kept)
 
     async def forget(self, uids: Iterable[str]) -> None:
         """Remove runs from the archive, of which there are later ones."""
@@ -112,16 +134,16 @@ class Keeper:
             await in_thread(self._archive.remove_runs, gone)
 
     async def retire(
-        self, cluster: Cluster, key: Key, sweep: Sweep, memory: SweepMemory, settled: list[Object]
+        self, cluster: Cluster, sweep: Sweep, body: Object, settled: list[Object], kept: KeptRuns
     ) -> list[float]:
         """Archive and delete the oldest settled runs beyond the retention.
 
         Args:
             cluster: the cluster.
-            key: address of the Sweep.
             sweep: the Sweep.
-            memory: what is remembered of it.
+            body: the object, as it was last written.
             settled: its runs that have objects and of which nothing more will be written.
+            kept: those that are in the archive.
 
         Returns:
             After how many seconds to come back.
@@ -129,24 +151,21 @@ class Keeper:
         surplus = len(settled) - sweep.spec.retention.runs
         if surplus <= 0:
             return []
-        body = cluster.store.get(key)
-        if body is None:
-            return []
         settled = sorted(settled, key=lambda run: run["status"].get("completionTime") or "")
-        written = decode_points(body["status"].get("points"), len(memory.states))
+        total = 1 + max(point_of(run) or 0 for run in settled)
+        written = decode_points(body["status"].get("points"), total)
         # Only what the status says to be done may go: the bit is what remains of a run here.
         going = [run for run in settled[:surplus] if written[point_of(run) or 0] == state_of(run)][:_AT_ONCE]
         # All are in the archive before the first is deleted: a crash in between leaves them in both, and the
         # next look deletes.
-        fresh = [run for run in going if not is_kept(run, memory.kept)]
-        await self.keep(cluster, fresh, sweep.spec.evaluation, memory.kept)
+        await self.keep(cluster, going, sweep.spec.evaluation, kept)
         limit = asyncio.Semaphore(_DELETED_AT_ONCE)
 
         async def delete(run: Object) -> bool:
             async with limit:
                 gone = await _is_deleted(cluster, run)
             if gone:
-                memory.retired.add(run["metadata"]["uid"])
+                kept.retired.add(run["metadata"]["uid"])
             return gone
 
         told = await asyncio.gather(*(delete(run) for run in going))
@@ -175,17 +194,6 @@ class Keeper:
         if annotations_of(run).get(FILES):
             record = record.replace(folder=None)  # the collector removes it
         return record, algorithm, dataset
-
-
-def is_kept(run: Object, kept: Mapping[str, str]) -> bool:
-    """Tell whether a run is in the archive as it is now; ``kept`` has the versions there by UID."""
-    uid, version = _identity(run)
-    return kept.get(uid) == version
-
-
-def _identity(run: Object) -> tuple[str, str]:
-    """Return a run's UID and version."""
-    return run["metadata"]["uid"], run["metadata"]["resourceVersion"]
 
 
 async def _is_deleted(cluster: Cluster, run: Object) -> bool:

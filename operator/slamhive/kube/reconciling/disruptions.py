@@ -33,7 +33,7 @@ class Disruptions(NamedTuple):
 
     @classmethod
     def of(cls, status: MappingRunStatus, attempted: Attempted) -> Disruptions:
-        """Return what a status has counted, and what is seen beyond that."""
+        """Return the disruptions that a status has counted, and those seen beyond."""
         count, last = status.disruptions or 0, status.disrupted_pod
         taken = [*attempted.disrupted]
         fresh = taken[taken.index(last) + 1 :] if last in taken else taken

@@ -44,6 +44,7 @@ from slamhive.kube.observing import (
 from slamhive.kube.pods import Waiting, live_pods
 from slamhive.kube.pods import condition as condition_of
 from slamhive.kube.reconciling import variants
+from slamhive.kube.reconciling.archiving import KeptRuns
 from slamhive.kube.reconciling.disruptions import Disruptions
 from slamhive.kube.reconciling.run_recording import RunRecorder
 from slamhive.kube.reconciling.run_status import RunFacts
@@ -110,7 +111,7 @@ class RunReconciler:
         self._waiting: set[Key] = set()
         self._resolved: dict[Key, _Resolved] = {}
         self._keeper = keeper
-        self._kept: dict[str, str] = {}
+        self._kept = KeptRuns()
 
     def waiting(self, namespace: str) -> list[Key]:
         """Return the runs that wait for the catalog."""

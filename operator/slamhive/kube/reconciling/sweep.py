@@ -25,7 +25,7 @@ from slamhive.kube.api.errors import REFUSALS, AlreadyExists, Conflict
 from slamhive.kube.api.kinds import Key, Kind, Label, Object, key_of, labels_of, owner_uids
 from slamhive.kube.builders.common import label_value
 from slamhive.kube.pods import live_pods
-from slamhive.kube.reconciling.archiving import ArchiveAway, Keeper, in_thread, is_kept
+from slamhive.kube.reconciling.archiving import ArchiveAway, Keeper, in_thread
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.reconciling.evaluation_groups import SWEEP_PREFIX
 from slamhive.kube.reconciling.sweep_losses import (
@@ -188,8 +188,7 @@ class SweepReconciler:
         ended |= {uid: run for uid, run in runs.items() if phase_of(run["status"]).is_finished}
         text = f"{len(ended)} runs that had ended "
         if self._keeper is not None:
-            fresh = [run for run in ended.values() if not is_kept(run, memory.kept)]
-            await self._keeper.keep(cluster, fresh, sweep.spec.evaluation, memory.kept)
+            await self._keeper.keep(cluster, [*ended.values()], sweep.spec.evaluation, memory.kept)
             kept = sweep.spec.retention.files == "Keep"
             files = "their folders stay where they are" if kept else "the collector removes their folders"
             text += f"are in the archive, as are those that were retired; {files}"
@@ -314,7 +313,8 @@ class SweepReconciler:
             delays.append(_budget_left(sweep, memory, now))
         delays += await self._write_status(cluster, seen, decision, blocked, now)
         if self._archive is not None and self._keeper is not None:
-            delays += await self._keeper.retire(cluster, seen.key, sweep, memory, seen.settled)
+            body = cluster.store.get(seen.key) or seen.body
+            delays += await self._keeper.retire(cluster, sweep, body, seen.settled, memory.kept)
             if seen.body["metadata"]["uid"] in self._archive_away:
                 await in_thread(self._archive.get, seen.body["metadata"]["uid"])
                 # It answers again: what was held back may start.
@@ -405,14 +405,14 @@ class SweepReconciler:
         if over and not body["status"].get("completionTime"):
             status |= SweepStatus(completion_time=iso(now))
         is_news = bool(status_patch(body, status.as_patch(), conditions, now))
-        fresh = [run for run in seen.settled if not is_kept(run, memory.kept)] if self._keeper else []
+        fresh = self._keeper is not None and not all(memory.kept.has(run) for run in seen.settled)
         if not is_news and not fresh:
             return []
         # However many runs end, the status is written once in this time; the Sweep's own end does not wait.
         wait = memory.written_at + cluster.settings.sweep_write_seconds - now
         if wait > 0 and not (over and is_news):
             return [wait]
-        away = await self._keep(cluster, seen, fresh)
+        away = await self._keep(cluster, seen)
         # Noted before the answer: where that is lost, the write may have been done and must not look like
         # another operator's.
         memory.points = status.points
@@ -425,14 +425,14 @@ class SweepReconciler:
             raise away
         return []
 
-    async def _keep(self, cluster: Cluster, seen: _SweepPicture, runs: list[Object]) -> ArchiveAway | None:
-        """Archive runs before the status counts them: whoever deletes the Sweep then loses none of them.
+    async def _keep(self, cluster: Cluster, seen: _SweepPicture) -> ArchiveAway | None:
+        """Archive what has ended before the status counts it: who deletes the Sweep then loses none of it.
 
         An archive that is away is told after the status is written, as the Sweep goes on.
         """
         try:
             if self._keeper is not None:
-                await self._keeper.keep(cluster, runs, seen.sweep.spec.evaluation, seen.memory.kept)
+                await self._keeper.keep(cluster, seen.settled, seen.sweep.spec.evaluation, seen.memory.kept)
                 points = seen.memory.replaced.keys() & {point_of(run) for run in seen.settled}
                 await self._keeper.forget(uid for index in points for uid in seen.memory.replaced[index])
                 for index in points:

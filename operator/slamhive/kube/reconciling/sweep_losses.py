@@ -25,7 +25,7 @@ _SHOWN = 3
 def are_missing(memory: SweepMemory, runs: Container[int]) -> bool:
     """Tell whether runs are gone that were not deleted here."""
     return any(
-        index not in runs and one.run["metadata"]["uid"] not in memory.retired
+        index not in runs and one.run["metadata"]["uid"] not in memory.kept.retired
         for index, one in memory.finished.items()
     )
 
@@ -51,14 +51,14 @@ async def take_out(
         # Their CPU time and results still count: for budgets, and for `best`.
         run = await at_its_end(archive, memory.finished[index].run)
         uid = run["metadata"]["uid"]
-        kept = uid in memory.kept or uid in memory.retired
-        if not kept and archive is not None:
+        retired, kept = uid in memory.kept.retired, uid in memory.kept.versions
+        if not kept and not retired and archive is not None:
             kept = await in_thread(archive.get, uid) is not None
         del memory.finished[index]
-        memory.kept.pop(uid, None)
+        memory.kept.versions.pop(uid, None)
+        memory.kept.retired.discard(uid)
         # Another operator deletes none of those that are to keep their objects.
-        if uid in memory.retired or (kept and left >= retention):
-            memory.retired.discard(uid)
+        if retired or (kept and left >= retention):
             memory.archived.add(Finished.of(run))
             continue
         memory.deleted[index] = Finished.of(run)

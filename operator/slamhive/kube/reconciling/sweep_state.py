@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from slamhive.archive import SweepRecord
 from slamhive.engine import PointState
-from slamhive.kube.reconciling.archiving import in_thread
+from slamhive.kube.reconciling.archiving import KeptRuns, in_thread
 from slamhive.kube.reconciling.sweep_runs import Finished, SweepTally, decode_points, point_of
 from slamhive.kube.status import moment
 from slamhive.model.errors import InputError
@@ -51,8 +51,7 @@ class SweepMemory:
         written_at: when its status was last written.
         finished: its finished runs that were there when it was last looked at, by point.
         points: the states of its points as they were last written or read.
-        kept: the versions of its runs that are in the archive, by UID.
-        retired: UIDs of its runs that were deleted here, as they are beyond the retention.
+        kept: its runs that are in the archive.
         deletions: how many of its runs were deleted by others.
         deleted: of these the finished ones, by point, unless that was done again.
         replaced: UIDs of runs that were deleted and are done again, by point: their records go then.
@@ -71,8 +70,7 @@ class SweepMemory:
     written_at: float = 0.0
     finished: dict[int, Finished] = field(default_factory=dict)
     points: str | None = None
-    kept: dict[str, str] = field(default_factory=dict)
-    retired: set[str] = field(default_factory=set)
+    kept: KeptRuns = field(default_factory=KeptRuns)
     deletions: int = 0
     deleted: dict[int, Finished] = field(default_factory=dict)
     replaced: dict[int, set[str]] = field(default_factory=dict)
@@ -191,7 +189,7 @@ def _recall(
         if run in present:
             # What was measured of it later than it was archived is still to be written there.
             if len(present[run]["status"].get("results") or ()) == point.results:
-                memory.kept[run] = present[run]["metadata"]["resourceVersion"]
+                memory.kept.add(present[run])
         elif point.index is not None and point.index < len(memory.states):
             # A run that was deleted and is done again counts once.
             if point.index in points:
