@@ -81,7 +81,8 @@ class KeptRuns:
 
     def has(self, run: Object) -> bool:
         """Tell whether a run is there as it is now."""
-        return self.versions.get(run["metadata"]["uid"]) == run["metadata"]["resourceVersion"]
+        version: str = run["metadata"]["resourceVersion"]
+        return self.versions.get(run["metadata"]["uid"]) == version
 
     def add(self, run: Object) -> None:
         """Note that a run is there as it is now."""

@@ -7,8 +7,8 @@ used up by it; a run that is taken again and again ends with a reason of its own
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from slamhive.engine import AttemptEnd, AttemptState
 from slamhive.kube.observing import DISRUPTED, NO_POD
@@ -24,7 +24,8 @@ MOST_DISRUPTIONS = 20
 """Disruptions of one run from which on it is given up."""
 
 
-class Disruptions(NamedTuple):
+@dataclass(frozen=True)
+class Disruptions:
     """Disruptions of a run so far: their number, the pod that the last one took, and whether that is news."""
 
     count: int = 0

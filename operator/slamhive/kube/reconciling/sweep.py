@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import (
     PointState,
@@ -55,6 +55,8 @@ from slamhive.model.status import SweepDisplay, SweepStatus
 from slamhive.model.sweep import Sweep
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from slamhive.archive import Archive
     from slamhive.kube.cluster import Cluster
     from slamhive.kube.reconciling.catalogue import Catalogue
@@ -508,7 +510,7 @@ async def _insist_on_newest(cluster: Cluster, seen: _SweepPicture) -> None:
         raise Conflict(f"{seen.key} has changed since it was looked at", status=409)
 
 
-def _leaving(cluster: Cluster, seen: _SweepPicture) -> list[Object]:
+def _leaving(cluster: Cluster, seen: _SweepPicture) -> list[Mapping[str, Any]]:
     """Return the pods at work whose runs were deleted or are over: a slot is free when its pod has ended."""
     going = (run for run in seen.runs.values() if state_of(run) is PointState.ACTIVE)
     active = {label_value(run["metadata"]["name"]) for run in going}
