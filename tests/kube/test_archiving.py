@@ -251,12 +251,11 @@ async def test_a_deleted_sweep_loses_nothing_that_had_ended(cluster: Cluster, sw
 
 
 async def test_a_run_by_itself_is_in_the_archive_as_it_ends(cluster: Cluster, switched: Switched) -> None:
-    key = cluster.apply(Kind.MAPPING_RUN, "alone", RUN, phase="Failed", reason="AlgorithmFailed")
-    for _ in range(2):
-        await cluster.loop.handle(key)
+    key = cluster.apply(Kind.MAPPING_RUN, "alone", RUN | {"cancel": True})
+    await cluster.loop.handle(key)
     cluster.loop = Loop(cluster.seen, reconcilers(switched))  # type: ignore[arg-type]
     await cluster.loop.handle(key)
-    assert [(one.name, one.reason) for one in switched.runs()] == [("alone", "AlgorithmFailed")]
+    assert [(one.name, one.reason) for one in switched.runs()] == [("alone", "Cancelled")]
     assert switched.calls.count("put_used") == 1
 
 

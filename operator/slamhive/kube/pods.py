@@ -127,7 +127,7 @@ def newest(job: Object | None, pods: Iterable[Object]) -> Object | None:
 
 def live_pods(pods: Iterable[Object]) -> list[Object]:
     """Return the pods of runs of which a container may still be at work."""
-    return [pod for pod in pods if labels_of(pod).get(Label.ROLE) == Role.RUN and not is_finished(pod)]
+    return [pod for pod in pods if not is_finished(pod) and labels_of(pod).get(Label.ROLE) == Role.RUN]
 
 
 def is_finished(pod: Object) -> bool:
@@ -151,10 +151,10 @@ def _is_target(pod: Object) -> bool:
 
 
 def is_deleted(pod: Object) -> bool:
-    """Tell whether someone deleted a pod: then how its containers ended says nothing about them.
+    """Tell whether someone deleted a pod: how its containers ended may then say nothing about them.
 
-    Whether they had ended before can't be told: the kubelet's last update moves the time of the deletion
-    behind theirs. An end seen before the deletion has been recorded by then.
+    Whether they had ended before can't always be told by the pod: the kubelet's last update moves the time of
+    the deletion behind theirs.
     """
     return bool(pod["metadata"].get("deletionTimestamp"))
 

@@ -8,7 +8,7 @@ used up by it; a run that is taken again and again ends with a reason of its own
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import AttemptEnd, AttemptState
 from slamhive.kube.observing import DISRUPTED, NO_POD
@@ -16,9 +16,10 @@ from slamhive.kube.reports import clean
 from slamhive.model.results import Reason
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from slamhive.kube.observing import Attempted
     from slamhive.kube.reconciling.waiting import Patience
-    from slamhive.model.status import MappingRunStatus
 
 MOST_DISRUPTIONS = 20
 """Disruptions of one run from which on it is given up."""
@@ -33,9 +34,9 @@ class Disruptions:
     is_news: bool = False
 
     @classmethod
-    def of(cls, status: MappingRunStatus, attempted: Attempted) -> Disruptions:
+    def of(cls, status: Mapping[str, Any], attempted: Attempted) -> Disruptions:
         """Return the disruptions that a status has counted, and those seen beyond."""
-        count, last = status.disruptions or 0, status.disrupted_pod
+        count, last = status.get("disruptions") or 0, status.get("disruptedPod")
         taken = [*attempted.disrupted]
         fresh = taken[taken.index(last) + 1 :] if last in taken else taken
         if not fresh or attempted.state is not AttemptState.RUNNING:

@@ -119,6 +119,14 @@ class RunReconciler:
 
     async def __call__(self, cluster: Cluster, key: Key) -> float | None:
         """Look at a run, do what is to be done next, and write what changed."""
+        again = await self._look(cluster, key)
+        run = cluster.store.get(key)
+        # Those of a Sweep are kept together.
+        if self._keeper is not None and run is not None and Label.SWEEP not in labels_of(run):
+            await self._keeper.keep_single(cluster, run, self._kept)
+        return again
+
+    async def _look(self, cluster: Cluster, key: Key) -> float | None:
         self._waiting.discard(key)
         run = cluster.store.get(key)
         if run is None or run["metadata"].get("deletionTimestamp"):
@@ -130,8 +138,6 @@ class RunReconciler:
             self._resolved.pop(key, None)
             self._reusable.learn(run)
             self._evaluations.consider(cluster, run)
-            if self._keeper is not None and Label.SWEEP not in labels_of(run):
-                await self._keeper.keep_single(cluster, run, self._kept)
             return None
         state = run_state(MappingRunStatus.of(run))
         try:
@@ -187,7 +193,7 @@ class RunReconciler:
         attempted = await self._with_report(cluster, facts)
         if attempted is None:
             return None
-        disruptions = Disruptions.of(MappingRunStatus.of(facts.body), attempted)
+        disruptions = Disruptions.of(facts.body["status"], attempted)
         waits = await patience(cluster, facts.job, attempted.waiting, room_seconds=0.0)
         waits = disruptions.told(attempted, waits)
         facts = replace(facts, attempted=_borne(attempted, waits), disruptions=disruptions)
@@ -363,16 +369,20 @@ def _seen(
     if job is not None:
         return observe_attempt(job, cluster.store.pods_of(job), was_interrupted=interrupted)
     # Of a Job that was deleted the pod lives on for its grace time, and nothing may run beside it.
-    pods = live_pods(cluster.store.select(Kind.POD, key.namespace, Label.RUN, label_value(key.name)))
+    found = cluster.store.select(Kind.POD, key.namespace, Label.RUN, label_value(key.name))
+    pods = [pod for pod in found if labels_of(pod).get(Label.ROLE) == Role.RUN]
     made = run["metadata"].get("creationTimestamp") or ""
     own = [pod for pod in pods if (pod["metadata"].get("creationTimestamp") or "") >= made]
-    if own or not pods:
-        attempted = observe_attempt(None, own)
-        was_running = state.phase is Phase.RUNNING and state.attempts > state.judged
-        is_lost = attempted.state is AttemptState.NONE and was_running and not run["spec"].get("cancel")
-        return observe_lost(state.attempts, was_interrupted=interrupted) if is_lost else attempted
-    waiting = Waiting(TERMINATING, "the pod of an earlier run of this name is being taken away")
-    return Attempted(AttemptState.RUNNING, waiting=waiting)
+    if live_pods(own):
+        waiting = Waiting(TERMINATING, "its Job was deleted, and its pod has not ended")
+        return replace(observe_attempt(None, live_pods(own)), waiting=waiting)
+    if live_pods(pods):
+        waiting = Waiting(TERMINATING, "the pod of an earlier run of this name has not ended")
+        return Attempted(AttemptState.RUNNING, waiting=waiting)
+    if state.phase is not Phase.RUNNING or state.attempts <= state.judged or run["spec"].get("cancel"):
+        return Attempted()
+    interrupted |= any(pod["status"].get("phase") == "Failed" for pod in own)
+    return observe_lost(state.attempts, was_interrupted=interrupted)
 
 
 def _insist_on_effects(spec: dict[str, Any], algorithm: Algorithm, dataset: Dataset) -> None:
