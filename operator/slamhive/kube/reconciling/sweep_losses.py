@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from slamhive.engine import PointState
 from slamhive.kube.reconciling.archiving import at_its_end, in_thread
-from slamhive.kube.reconciling.sweep_runs import Finished
+from slamhive.kube.reconciling.sweep_runs import Finished, state_of
 
 if TYPE_CHECKING:
     from collections.abc import Container, Mapping
@@ -46,7 +46,7 @@ async def take_out(
     """
     names = []
     gone = [index for index in memory.finished if index not in runs]
-    left = len(memory.finished) - len(gone)
+    left = sum(state_of(run) is not PointState.ACTIVE for run in runs.values()) if gone else 0
     for index in gone:
         # Their CPU time and results still count: for budgets, and for `best`.
         run = await at_its_end(archive, memory.finished[index].run)
