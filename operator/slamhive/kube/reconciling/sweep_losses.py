@@ -81,7 +81,8 @@ def take_back(memory: SweepMemory, runs: Mapping[int, Object]) -> None:
     memory.lost -= runs.keys()
     for index in memory.deleted.keys() & runs.keys():
         former = memory.deleted.pop(index).run["metadata"]["uid"]
-        memory.replaced.setdefault(index, set()).add(former)
+        if former != runs[index]["metadata"]["uid"]:
+            memory.replaced.setdefault(index, set()).add(former)
 
 
 def remark(memory: SweepMemory) -> str:
