@@ -37,7 +37,7 @@ PROCESSORS = ("Ryzen 9", "Xeon", None)
 REASONS = (
     *("InvalidParameters", "DatasetMissing", "AlgorithmUnavailable", "PreparationFailed", "ImagePullFailed"),
     *("OutOfMemory", "DeadlineExceeded", "AlgorithmFailed", "OutputTooLarge", "NoTrajectory"),
-    *("InvalidTrajectory", "NodeLost", "SystemFault"),
+    *("InvalidTrajectory", "NodeLost", "Disrupted", "SystemFault"),
 )
 OUTCOMES = ("Tracked", "Tracked", "Tracked", "Partial", "Lost", "Diverged")
 EVALUATIONS = (

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 INFRASTRUCTURE = {
     *("NodeLost", "SystemFault", "ImagePullFailed", "AlgorithmUnavailable", "DatasetMissing"),
-    "PreparationFailed",
+    *("PreparationFailed", "Disrupted"),
 }
 """Reasons for which the machine is to blame."""
 

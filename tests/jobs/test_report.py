@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 from typing import Any
 
 import pytest
@@ -142,9 +143,27 @@ def test_a_summary_is_told_as_the_monitor_would_have(pod: Any) -> None:
     assert (found.usage.cpu.seconds, found.trajectory.poses, found.cpu_model) == (12.5, 3, "c")
 
 
+def test_of_a_run_whose_last_pod_nobody_knows_the_one_that_began_last_is_told(pod: Any) -> None:
+    for number, name in enumerate(("taken", "last", "empty")):
+        folder = pod.root / "results" / "runs" / "uid" / name
+        folder.mkdir(parents=True)
+        if name != "empty":
+            (folder / "config.yaml").touch()
+            os.utime(folder / "config.yaml", (number, number))
+            (folder / "summary.json").write_text(json.dumps(SUMMARY | {"cpuModel": name}))
+    found = read_report(pod.run("read", request={"path": "runs/uid"}).message)
+    assert found is not None
+    assert (found.pod, found.cpu_model) == ("last", "last")
+    # A pod that left none is not another's.
+    (pod.root / "results" / "runs" / "uid" / "last" / "summary.json").unlink()
+    assert "last/summary.json: does not exist" in pod.run("read", request={"path": "runs/uid"}).error[1]
+
+
 @pytest.mark.parametrize(
     ("path", "content"),
     [
+        ("runs/uid", None),
+        ("runs/..", None),
         ("runs/uid/pod/summary.json", None),
         ("runs/uid/pod/summary.json", "["),
         ("runs/uid/pod/summary.json", "[]"),

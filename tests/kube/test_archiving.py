@@ -65,16 +65,19 @@ class Switched:
 
     Attributes:
         error: what it says to everything; None: it answers.
+        calls: what it was asked.
     """
 
     def __init__(self, archive: Archive) -> None:
         self._archive = archive
         self.error: SlamHiveError | None = None
+        self.calls: list[str] = []
 
     def __getattr__(self, name: str) -> Any:
         def method(*words: Any, **options: Any) -> Any:
             if self.error is not None:
                 raise self.error
+            self.calls.append(name)
             return getattr(self._archive, name)(*words, **options)
 
         return method
@@ -147,7 +150,7 @@ async def test_an_archive_that_is_away_stops_new_runs_before_they_fill_the_clust
     assert standing(status, "ArchiveUnavailable")[0] == "False"
     assert (status["phase"], status["progress"]) == ("Complete", f"{POINTS}/{POINTS}")
     assert len(runs_of(cluster)) == RETENTION
-    assert switched.count() == POINTS - RETENTION
+    assert switched.count() == POINTS
     assert {(one.cluster, one.namespace) for one in switched.runs()} == {("cluster-1", "lab")}
     assert [one.cluster for one in switched.sweeps()] == ["cluster-1"]
 
@@ -174,7 +177,7 @@ async def test_runs_that_end_faster_than_they_are_measured_stop_new_ones(
     status = await go_on(cluster, key, 60)
     assert standing(status, "Blocked")[0] == "False"
     assert (status["phase"], status["progress"]) == ("Complete", f"{POINTS}/{POINTS}")
-    assert switched.count() == POINTS - RETENTION
+    assert switched.count() == POINTS
 
 
 async def test_an_archive_that_is_away_at_the_start_is_told_and_waited_for(
@@ -206,3 +209,83 @@ async def test_an_operator_that_comes_anew_to_an_absent_archive_starts_nothing(
     switched.error = None
     status = await go_on(cluster, key, 60)
     assert (status["phase"], status["progress"]) == ("Complete", f"{POINTS}/{POINTS}")
+
+
+def deleted(cluster: Cluster, key: Any) -> None:
+    cluster.seen.observe(key.kind, "DELETED", cluster.objects.pop(key))
+
+
+def small(cluster: Cluster, **spec: Any) -> Any:
+    return cluster.apply(Kind.SWEEP, "small", {"template": {"spec": RUN}, "repetitions": 4} | spec)
+
+
+async def test_runs_are_in_the_archive_as_they_end_each_written_once(
+    cluster: Cluster, switched: Switched
+) -> None:
+    key = small(cluster, parallelism=2)
+    await go_on(cluster, key, 2)
+    assert switched.count() == cluster.objects[key]["status"]["succeeded"] == 2
+    status = await go_on(cluster, key, 4)
+    assert (status["phase"], switched.count(), len(runs_of(cluster))) == ("Complete", 4, 4)
+    written = switched.calls.count("put_used")
+    cluster.loop = Loop(cluster.seen, reconcilers(switched))  # type: ignore[arg-type]
+    await go_on(cluster, key, 2)
+    assert switched.calls.count("put_used") == written <= 3
+    # What an Evaluation measures later is written there too.
+    change(cluster, runs_of(cluster)[0], results=[RESULT])
+    await go_on(cluster, key, 2)
+    assert [len(one.results) for one in switched.runs()].count(1) == 1
+
+
+async def test_a_deleted_sweep_loses_nothing_that_had_ended(cluster: Cluster, switched: Switched) -> None:
+    key = small(cluster, template={"spec": RUN | {"evaluate": True}})
+    await go_on(cluster, key, 2, trajectory=TRAJECTORY)
+    assert switched.count() == 0  # none is measured yet
+    deleted(cluster, key)
+    await cluster.loop.handle(key)
+    assert [one.phase for one in switched.runs()] == [Phase.SUCCEEDED] * 4
+    assert cluster.told["small", "Deleted"] == (
+        "4 runs that had ended are in the archive, as are those that were retired; their folders stay where "
+        "they are"
+    )
+
+
+async def test_a_run_by_itself_is_in_the_archive_as_it_ends(cluster: Cluster, switched: Switched) -> None:
+    key = cluster.apply(Kind.MAPPING_RUN, "alone", RUN | {"cancel": True})
+    await cluster.loop.handle(key)
+    cluster.loop = Loop(cluster.seen, reconcilers(switched))  # type: ignore[arg-type]
+    await cluster.loop.handle(key)
+    assert [(one.name, one.reason) for one in switched.runs()] == [("alone", "Cancelled")]
+    assert switched.calls.count("put_used") == 1
+
+
+@pytest.mark.parametrize("kept", [True, False])
+async def test_runs_that_are_deleted_by_hand_are_told_and_those_done_again_count_once(
+    switched: Switched, kept: bool
+) -> None:
+    cluster = catalogued(archive=switched if kept else None)  # type: ignore[arg-type]
+    key = small(cluster, parallelism=3)
+    await cluster.look(key, 11)
+    done, going, _ = runs_of(cluster)
+    change(cluster, done, phase="Succeeded", completionTime=iso(cluster.now), results=[RESULT])
+    await cluster.look(key, 11)
+    again = cluster.objects[done]
+    for run in (done, going):
+        deleted(cluster, run)
+    status = await cluster.look(key, 11)
+    left = 1 if kept else 2
+    told = f"2 runs were deleted by hand: nothing is left of {left}"
+    assert standing(status, "Complete")[2] == told
+    assert cluster.told["small", "RunsDeleted"] == (
+        f"deleted by hand: {done.name}, {going.name}; in all {told}"
+    )
+    assert (status["deleted"], status["failed"], status["evaluated"]) == (2, 1, 1)
+    cluster.objects[done] = again = cluster._made(again | {"status": {}})
+    again["metadata"]["uid"] = "another"
+    cluster.seen.observe(Kind.MAPPING_RUN, "ADDED", again)
+    change(cluster, done, phase="Succeeded", completionTime=iso(cluster.now), results=[RESULT])
+    for _ in range(2):
+        status = await cluster.look(key, 11)
+        assert (status["deleted"], status["evaluated"]) == (2, 1)
+        cluster.loop = Loop(cluster.seen, reconcilers(switched if kept else None))  # type: ignore[arg-type]
+    assert [one.uid for one in switched.runs()] == (["another"] if kept else [])

@@ -196,7 +196,7 @@ JOBS = {
     "custom-evaluator": lambda: evaluating(
         batch(), Evaluator(image="example.org/eval:1", command=["measure", "$(HOME)"])
     ),
-    "read": lambda: read_job(run=run(), pod_uid=POD, settings=settings()),
+    "read": lambda: read_job(run=run(), pod_uid=POD, attempt=1, settings=settings()),
 }
 
 
@@ -397,7 +397,7 @@ def test_no_identity_leads_out_of_its_folder(bad: str) -> None:
     with pytest.raises(InputError, match="cannot be part of a path"):
         built(run(uid=bad))
     with pytest.raises(InputError, match="cannot be part of a path"):
-        read_job(run=run(), pod_uid=bad, settings=settings())
+        read_job(run=run(), pod_uid=bad, attempt=1, settings=settings())
     with pytest.raises(InputError, match="cannot be part of a path"):
         evaluating({"settings": {}, "runs": [{"uid": bad}]})
     with pytest.raises(ValueError, match="folder"):

@@ -16,11 +16,18 @@ from typing import Any
 import pytest
 
 from slamhive.engine import AttemptState, VariantState, classify
-from slamhive.kube.observing import Attempted, observe_attempt, observe_job, observe_variant
+from slamhive.kube.observing import (
+    Attempted,
+    observe_attempt,
+    observe_job,
+    observe_lost,
+    observe_variant,
+)
 from slamhive.kube.pods import Waiting, why_unable
 from slamhive.kube.reconciling.waiting import ROOM_SECONDS, Patience, patience
 from slamhive.kube.reports import Report, moment, read_report
 from slamhive.model.results import Reason
+from slamhive.playback.outcome import Played
 
 PODS = json.loads((Path(__file__).parent / "golden" / "pods.json").read_text(encoding="utf-8"))
 MISSING = "output/trajectory.txt is missing or not a regular file"
@@ -341,6 +348,70 @@ def test_a_deleted_pod_is_no_fault_of_the_algorithm(pods: list[str]) -> None:
     assert observe_attempt(None, there).state is (AttemptState.RUNNING if pods else AttemptState.NONE)
 
 
+USABLE = read_report(OK)
+
+
+@pytest.mark.parametrize(
+    ("lost", "report", "reason"),
+    [
+        ("Complete", USABLE, None),
+        ("Complete", Report(trajectory_problem=MISSING, trajectory_missing=True), Reason.NO_TRAJECTORY),
+        ("Complete", None, Reason.NODE_LOST),
+        ("Failed", USABLE, Reason.NODE_LOST),
+        ("Failed", Report(reason=Reason.OUT_OF_MEMORY), Reason.OUT_OF_MEMORY),
+        ("Failed", Report(played=Played(completed=True, reason=None, message=None)), None),
+        ("gone", USABLE, None),
+        ("gone", Report(trajectory_problem=MISSING, trajectory_missing=True), Reason.SYSTEM_FAULT),
+        ("gone", replace(USABLE, played=Played(False, None, None)), Reason.SYSTEM_FAULT),
+        ("gone", None, Reason.SYSTEM_FAULT),
+    ],
+)
+def test_what_a_run_left_says_how_it_ended_where_its_pod_is_gone(
+    lost: str, report: Report | None, reason: Reason | None
+) -> None:
+    def observed(*, was_interrupted: bool) -> Attempted:
+        if lost == "gone":
+            return observe_lost(2, was_interrupted=was_interrupted)
+        return observe_attempt(job(lost), [], was_interrupted=was_interrupted)
+
+    attempted = observed(was_interrupted=False)
+    assert attempted.needs_read
+    end = attempted.with_report(report).end
+    assert end is not None
+    assert classify(end)[0] is reason
+    assert not observed(was_interrupted=True).needs_read
+
+
+@pytest.mark.parametrize(
+    ("deleted", "taken", "interrupted", "reason"),
+    [
+        ("15:12:52", None, False, None),
+        ("15:12:49", None, False, Reason.NODE_LOST),
+        (None, "15:12:22", False, None),
+        (None, "15:12:20", False, Reason.NODE_LOST),
+        ("15:12:52", None, True, Reason.NODE_LOST),
+    ],
+)
+def test_a_finished_pod_that_is_taken_away_has_ended_well(
+    deleted: str | None, taken: str | None, interrupted: bool, reason: Reason | None
+) -> None:
+    """The golden one ended at 15:12:21; a deletion is told by the end of its grace time."""
+    found = pod("ok")
+    if deleted:
+        found["metadata"] |= {
+            "deletionTimestamp": f"2026-11-21T{deleted}Z",
+            "deletionGracePeriodSeconds": 30,
+        }
+    if taken:
+        found["metadata"] |= {"deletionTimestamp": f"2026-11-21T{taken}Z", "deletionGracePeriodSeconds": 0}
+        told = {"type": "DisruptionTarget", "status": "True", "lastTransitionTime": f"2026-11-21T{taken}Z"}
+        found["status"]["conditions"].append(told)
+    attempted = observe_attempt(job("Complete"), [found], was_interrupted=interrupted)
+    assert attempted.end is not None
+    assert classify(attempted.end)[0] is reason
+    assert (attempted.report is None) == (reason is not None)
+
+
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
@@ -575,7 +646,8 @@ def test_an_evaluator_that_failed_says_which_container() -> None:
     assert (found.state, found.container) == (AttemptState.ENDED, "report")
     expected = "container 'evaluator': exit code 2: no such trajectory"
     assert found.problem == (Reason.ALGORITHM_FAILED, expected)
-    assert observe_job(job("Complete"), []).problem is None
+    lost = observe_job(job("Complete"), [])
+    assert (lost.problem, lost.is_lost) == (None, True)
     assert observe_job(job("Failed"), []).problem is not None
 
 

@@ -54,6 +54,7 @@ def test_what_is_no_report_is_none(text: Any) -> None:
         ("a\r\nb\tc", "a\nb\tc"),
         ("\u202egnirts", "gnirts"),
         ("\ud800x", "x"),
+        ("\ufffdcut \x00both ends\ufffd", "cut both ends"),
         ("x" * 30, "x" * 19 + "…"),
     ],
 )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.cli.main import main
+from slamhive.model import sizes
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -281,3 +282,23 @@ def test_a_template_that_is_none_is_told_with_its_file_field_and_line(
     code, _, err = call("validate", path)
     assert code == 2
     assert f"{path}:4: spec: files.0.template: line 1: unknown parameter 'sise'; did you mean 'size'?" in err
+
+
+def test_what_a_cluster_finds_too_large_is_said_before_one_is_asked(
+    tmp_path: Path, call: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "sweep.yaml"
+    path.write_text(SWEEP + "  matrix: [{path: parameters.number, values: " + LONG + "}]\n")
+    assert call("validate", path)[2] == ""
+    monkeypatch.setattr(sizes, "ANNOTATION_BYTES", 1000)
+    code, out, err = call("validate", path)
+    assert (code, out) == (0, "Sweep s: 400 runs\n")
+    said = " ".join(err.split())
+    assert "too many for kubectl apply" in said
+    assert "at most 1,000: slamhive submit, kubectl create and kubectl apply --server-side take it" in said
+    monkeypatch.setattr(sizes, "OBJECT_BYTES", 999)
+    told = "a cluster takes at most 999 of an object: write a range in the place of long lists"
+    assert told in " ".join(call("validate", path)[2].split())
+    code, _, err = call("submit", path)
+    assert (code, told in " ".join(err.split())) == (2, True)
+    assert f"{path}:1: Sweep s: " in " ".join(err.split())

@@ -343,9 +343,10 @@ class Archive:
         Args:
             sweep_uid: the sweep's identity; two sweeps may have one name.
         """
-        runs = schema.runs.c
+        runs, results = schema.runs.c, schema.results.c
+        measured = select(func.count()).where(results.run_id == runs.id).scalar_subquery().label("results")
         query = (
-            select(runs.uid, runs.point, runs.phase, runs.reason, runs.content_hash)
+            select(runs.uid, runs.point, runs.phase, runs.reason, measured)
             .where(runs.sweep_uid == sweep_uid, runs.phase.in_(_FINISHED))
             .order_by(runs.id)
         )
@@ -357,7 +358,7 @@ class Archive:
                     row["point"],
                     Phase(row["phase"]),
                     Reason(row["reason"]) if row["reason"] else None,
-                    row["content_hash"],
+                    row["results"],
                 ),
             ),
         )

@@ -68,12 +68,12 @@ class CatalogEntry(Model):
 
 @dataclass(frozen=True)
 class FinishedPoint:
-    """End of a finished run of a sweep."""
+    """End of a finished run of a sweep, with the number of its results."""
 
     index: int | None
     phase: Phase
     reason: Reason | None
-    content_hash: str | None
+    results: int
 
 
 @dataclass(frozen=True)

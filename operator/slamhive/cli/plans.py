@@ -22,6 +22,7 @@ from slamhive.local.running.runner import Job
 from slamhive.local.running.workbench import Workbench
 from slamhive.model.errors import InputError, SlamHiveError, sentence
 from slamhive.model.run import MappingRun
+from slamhive.model.sizes import apply_refused, size_refused
 from slamhive.model.sweep import Sweep
 from slamhive.plan import local_uid
 from slamhive.tables.text import short_name
@@ -103,6 +104,8 @@ def validate(files: Files) -> None:
     for item in checked.objects:
         if not isinstance(item, Sweep | MappingRun):
             out.print(f"{item.kind} {escape(item.name)}: valid")
+        if told := size_refused(item) or apply_refused(item):
+            remark(f"on a cluster: {told}")
     checked.refuse()
 
 

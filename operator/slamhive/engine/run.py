@@ -246,7 +246,8 @@ def _ended(state: RunState, seen: RunObserved, end: AttemptEnd, now: float) -> D
         return Decision(done, (*actions, Finish()))
     if reason is Reason.CANCELLED:
         return Decision(replace(_move(state, Phase.CANCELLED), reason=reason, message=message), (Finish(),))
-    if reason.is_infrastructure:
+    # Disruptions are borne within an attempt, by a bound of their own.
+    if reason.is_infrastructure and reason is not Reason.DISRUPTED:
         counted = replace(state, judged=seen.number or state.judged)
         return _fault(counted, seen, reason, message or "the machine failed", now)
     return _fail(state, reason, message or "")

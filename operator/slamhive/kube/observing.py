@@ -6,6 +6,9 @@ Pure: neither API nor clock.
 A pod's end is taken as soon as the pod shows it, before its Job does: a Job here fails with its first pod.
 Only what a disruption took (eviction by the node, drain, preemption, a lost node) is replaced by the Job, and
 is seen as running until the replacement ends.
+
+A pod that is taken away after its end takes nothing with it: its Job says that it succeeded, summary.json on
+the volume what came out.
 """
 
 from __future__ import annotations
@@ -25,7 +28,9 @@ from slamhive.kube.pods import (
     Waiting,
     condition,
     container_of,
+    disrupted,
     ending_of,
+    has_completed,
     has_ended,
     has_failed,
     is_deleted,
@@ -60,10 +65,17 @@ Problem = tuple[Reason, str]
 
 NO_POD = "NoPod"
 """Reason of a Job's waiting that has no pod, nobody knows why."""
+TERMINATING = "Terminating"
+"""Reason of the waiting of a pod that is taken away while its program runs."""
+DISRUPTED = "Disrupted"
+"""Reason of the waiting of a Job for another pod in the place of one that was taken."""
 _HIDDEN_SECONDS = 2.0
 _MAIN = (EVALUATE, REPORT, EVALUATOR, LINKS, PREPARE, READ, RESTORE)
 """Containers of our Jobs, the main ones first."""
 _SILENT = "the monitor left no report"
+_GONE = "its pod is gone"
+_WELL = Ending(exit_code=0, signal=None, reason="Completed", message="", started=None, finished=None)
+_BY_SUMMARY = "its Job and pod were gone: summary.json on the volume says how it ended, not its exit code"
 
 
 @dataclass(frozen=True)
@@ -76,10 +88,11 @@ class Attempted:
         number: which attempt it is.
         waiting: why its program doesn't run yet.
         report: what its monitor told.
-        silence: how the monitor ended, if it told nothing though the program ran: what it left is to be read
-            and given to `with_report`; ``end`` is what stands if nothing is found.
+        silence: how the monitor ended, if it told nothing though the program ran, or what became of the pod:
+            what is left is to be read and given to `with_report`; ``end`` is what stands if nothing is found.
         ending: how the algorithm's container ended.
         told: what the kubelet made of its entire pod, if anything.
+        disrupted: UIDs of its pods that are taken, or were, by no fault of theirs, the oldest first.
         pod: name of its pod.
         pod_uid: identity of its pod, by which its folder is named.
         node: the node it ran on.
@@ -97,6 +110,7 @@ class Attempted:
     silence: str | None = None
     ending: Ending | None = None
     told: AttemptEnd | None = None
+    disrupted: tuple[str, ...] = ()
     pod: str | None = None
     pod_uid: str | None = None
     node: str | None = None
@@ -130,33 +144,57 @@ class Attempted:
             why = "; ".join(text for text in (self.silence, problem and problem[1]) if text)
             return replace(self, silence=None, end=self.end and _unreported(self.end, why))
         end = self.end if self.ending is None else _concluded(self.told, self.ending, report)
-        return replace(self, report=report, silence=None, end=end)
+        if self.ending is None and end is not None and _tells_end(end, report):
+            end = _concluded(None, _WELL, report)
+            end = end if end.reason else replace(end, remark=end.remark or _BY_SUMMARY)
+        return replace(self, report=report, silence=None, end=end, pod_uid=self.pod_uid or report.pod)
 
 
-def observe_attempt(job: Object | None, pods: Iterable[Object]) -> Attempted:
+def observe_attempt(
+    job: Object | None, pods: Iterable[Object], *, was_interrupted: bool = False
+) -> Attempted:
     """Say what is seen of an attempt.
 
     Args:
         job: its Job; None when that is gone.
         pods: its pods.
+        was_interrupted: whether a pod of it was seen being taken away while its program ran.
     """
+    pods = [*pods]
     pod = newest(job, pods)
     if pod is None:
-        return Attempted() if job is None else _without_pod(job)
-    seen = _seen(job, pod)
+        return Attempted() if job is None else _without_pod(job, was_interrupted=was_interrupted)
+    seen = replace(_seen(job, pod), disrupted=disrupted(pods))
     if not is_finished(pod):
-        waiting = _going(pod) if is_deleted(pod) else what_waits(pod, ALGORITHM)
-        return replace(seen, waiting=waiting)
+        going = is_deleted(pod) and seen.ending is None
+        return replace(seen, waiting=_going(pod) if going else what_waits(pod, ALGORITHM))
     if is_disrupted(pod) or is_deleted(pod):
-        return _taken(seen, job, pod)
+        ended_before = pod["status"]["phase"] == "Succeeded" and not was_interrupted
+        if not ended_before or _was_asked_to_end(pod, seen.ending):
+            return _taken(seen, job, pod)
     return _ended(seen, pod)
 
 
-def _without_pod(job: Object) -> Attempted:
+def observe_lost(number: int, *, was_interrupted: bool) -> Attempted:
+    """Say what is seen of an attempt that ran and has neither Job nor pod any more.
+
+    Args:
+        number: which attempt it is.
+        was_interrupted: whether its pod was seen being taken away while its program ran.
+    """
+    end = AttemptEnd(reason=Reason.SYSTEM_FAULT, message="its Job was deleted by someone else")
+    return Attempted(AttemptState.ENDED, end, number, silence=None if was_interrupted else _GONE)
+
+
+def _without_pod(job: Object, *, was_interrupted: bool) -> Attempted:
     number = _number(job)
     if has_ended(job):
         end = AttemptEnd(reason=Reason.NODE_LOST, message="its pod was deleted")
-        return Attempted(AttemptState.ENDED, end, number)
+        seen = Attempted(AttemptState.ENDED, end, number)
+        if was_interrupted:
+            return seen
+        # A Job is complete when all containers of its pod ended with exit code 0.
+        return replace(seen, silence=_GONE, ending=_WELL if has_completed(job) else None)
     begun = (job.get("status") or {}).get("startTime") or job["metadata"].get("creationTimestamp")
     # Queues such as Kueue hold a Job back this way, for as long as they choose.
     if (job.get("spec") or {}).get("suspend"):
@@ -188,7 +226,18 @@ def _seen(job: Object | None, pod: Object) -> Attempted:
 def _going(pod: Object) -> Waiting:
     """Return the wait of a pod that is to go: for its containers' end, or its node's word about it."""
     told = (condition(pod, "DisruptionTarget") or {}).get("message")
-    return Waiting("Terminating", clean(f"its pod is being taken away: {told or 'it was deleted'}"))
+    return Waiting(TERMINATING, clean(f"its pod is being taken away: {told or 'it was deleted'}"))
+
+
+def _was_asked_to_end(pod: Object, ending: Ending | None) -> bool:
+    """Tell whether a pod was to go before its program ended, as far as the pod still says so."""
+    meta, ended = pod["metadata"], moment(ending.finished) if ending else None
+    # The time of a deletion is that at which the grace time is over.
+    grace = meta.get("deletionGracePeriodSeconds")
+    asked = moment(meta.get("deletionTimestamp")) if grace else None
+    told = moment((condition(pod, "DisruptionTarget") or {}).get("lastTransitionTime"))
+    times = [time for time in (asked and asked - grace, told) if time is not None]
+    return ended is None or any(time <= ended for time in times)
 
 
 def _taken(seen: Attempted, job: Object | None, pod: Object) -> Attempted:
@@ -199,7 +248,7 @@ def _taken(seen: Attempted, job: Object | None, pod: Object) -> Attempted:
         end = AttemptEnd(reason=Reason.NODE_LOST, message=message)
         return replace(seen, state=AttemptState.ENDED, end=end, report=None)
     # Nothing that it reported counts: its Job makes another pod, which begins anew.
-    return replace(seen, waiting=Waiting("Disrupted", message), report=None)
+    return replace(seen, waiting=Waiting(DISRUPTED, message), report=None)
 
 
 def _ended(seen: Attempted, pod: Object) -> Attempted:
@@ -232,6 +281,20 @@ def _concluded(told: AttemptEnd | None, ending: Ending, report: Report | None) -
     if told is not None and (report is None or report.reason is None):
         return told
     return _judged(ending, report)
+
+
+def _tells_end(end: AttemptEnd, report: Report) -> bool:
+    """Tell whether a report says how a program ended of which neither Job nor pod does.
+
+    Args:
+        end: the end as it is without: a lost pod's where its Job has failed, a fault where that is gone.
+        report: what was found on the volume.
+    """
+    played = report.played
+    if report.reason is not None or played is not None:
+        return report.reason is not None or bool(played and played.completed)
+    # One that was broken off would have been seen to be, unless no operator was there.
+    return end.reason is Reason.SYSTEM_FAULT and report.trajectory is not None
 
 
 def _unreported(end: AttemptEnd, why: str) -> AttemptEnd:
@@ -363,6 +426,8 @@ def observe_variant(job: Object | None, pods: Iterable[Object]) -> VariantObserv
         return VariantObserved()
     if seen.state is not AttemptState.ENDED:
         return VariantObserved(VariantState.MAKING, waiting=seen.waiting)
+    if seen.is_lost:
+        return VariantObserved()
     description = read_description(seen.words)
     if seen.problem is None and description is None:
         seen = replace(seen, problem=(Reason.SYSTEM_FAULT, "the preparation's report can't be read"))
@@ -403,6 +468,11 @@ class JobObserved:
     pod: str | None = None
     container: str = ""
 
+    @property
+    def is_lost(self) -> bool:
+        """Tell whether it did what it should, and what it said of that went with its pod."""
+        return self.state is AttemptState.ENDED and self.problem is None and self.pod is None
+
 
 def observe_job(job: Object | None, pods: Iterable[Object]) -> JobObserved:
     """Say what is seen of a Job that prepares, evaluates, reads or restores.
@@ -415,14 +485,14 @@ def observe_job(job: Object | None, pods: Iterable[Object]) -> JobObserved:
         return JobObserved()
     pod = newest(job, pods)
     if pod is None:
-        seen = _without_pod(job)
+        seen = _without_pod(job, was_interrupted=True)
         lost = (Reason.SYSTEM_FAULT, "its pod was deleted") if has_failed(job) else None
         return JobObserved(seen.state, lost, seen.waiting)
     main = next((name for name in _MAIN if container_of(pod, name)), _MAIN[0])
     base = JobObserved(AttemptState.RUNNING, pod=pod["metadata"]["name"], container=main)
     if not is_finished(pod):
         return replace(base, waiting=what_waits(pod, main))
-    if is_disrupted(pod) or is_deleted(pod):
+    if is_disrupted(pod) or (is_deleted(pod) and pod["status"]["phase"] != "Succeeded"):
         if not has_failed(job):
             return base
         return replace(

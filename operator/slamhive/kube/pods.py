@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import AttemptEnd
-from slamhive.kube.api.kinds import owner_uids
+from slamhive.kube.api.kinds import Label, Role, labels_of, owner_uids
 from slamhive.kube.reports import clean, last_line, moment, tail
 from slamhive.model.results import Reason
 
@@ -115,9 +115,19 @@ def newest(job: Object | None, pods: Iterable[Object]) -> Object | None:
         pods = [pod for pod in pods if uid in owner_uids(pod)]
     return max(
         pods,
-        key=lambda pod: (pod["metadata"].get("creationTimestamp") or "", pod["metadata"]["name"]),
+        key=lambda pod: (
+            # Times are whole seconds.
+            not is_disrupted(pod),
+            pod["metadata"].get("creationTimestamp") or "",
+            pod["metadata"]["name"],
+        ),
         default=None,
     )
+
+
+def live_pods(pods: Iterable[Object]) -> list[Object]:
+    """Return the pods of runs of which a container may still be at work."""
+    return [pod for pod in pods if not is_finished(pod) and labels_of(pod).get(Label.ROLE) == Role.RUN]
 
 
 def is_finished(pod: Object) -> bool:
@@ -127,15 +137,24 @@ def is_finished(pod: Object) -> bool:
 
 def is_disrupted(pod: Object) -> bool:
     """Tell whether something that is no fault of the pod took it, so that its Job makes another."""
-    failed = pod["status"].get("phase") == "Failed"
-    return failed and (condition(pod, "DisruptionTarget") or {}).get("status") == "True"
+    return pod["status"].get("phase") == "Failed" and _is_target(pod)
+
+
+def disrupted(pods: Iterable[Object]) -> tuple[str, ...]:
+    """Return the UIDs of pods that are taken, or were, by what is no fault of theirs, the oldest first."""
+    taken = (pod["metadata"] for pod in pods if _is_target(pod) and pod["status"].get("phase") != "Succeeded")
+    return tuple(meta["uid"] for meta in sorted(taken, key=lambda meta: meta.get("creationTimestamp") or ""))
+
+
+def _is_target(pod: Object) -> bool:
+    return (condition(pod, "DisruptionTarget") or {}).get("status") == "True"
 
 
 def is_deleted(pod: Object) -> bool:
-    """Tell whether someone deleted a pod: then how its containers ended says nothing about them.
+    """Tell whether someone deleted a pod: how its containers ended may then say nothing about them.
 
-    Whether they had ended before can't be told: the kubelet's last update moves the time of the deletion
-    behind theirs. An end seen before the deletion has been recorded by then.
+    Whether they had ended before can't always be told by the pod: the kubelet's last update moves the time of
+    the deletion behind theirs.
     """
     return bool(pod["metadata"].get("deletionTimestamp"))
 

@@ -32,6 +32,7 @@ MESSAGE_BYTES = 16 * 1024
 DESCRIPTION_BYTES = 1 << 20
 _DEPTH = 12
 _SENTENCE = 1000
+_POD = re.compile(r"[0-9A-Za-z-]{1,64}")
 _COLOURS = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 # Control, format and surrogate characters: they move a terminal's cursor, turn text round, or can't be
 # encoded.
@@ -68,6 +69,7 @@ class Report:
         metrics_problem: what is wrong with metrics.json.
         frames: frames as the algorithm counted them.
         cpu_model: the processor.
+        pod: identity of the pod whose folder it was read in, where that was not known.
         played: how playing to it ended, for a ROS 1 node.
         metrics: what the algorithm and its player say of themselves, latency for one.
     """
@@ -83,6 +85,7 @@ class Report:
     metrics_problem: str | None = None
     frames: Frames | None = None
     cpu_model: str | None = None
+    pod: str | None = None
     played: Played | None = None
     metrics: dict[str, Any] = field(default_factory=dict)
 
@@ -104,7 +107,9 @@ def clean(text: object, limit: int = _SENTENCE) -> str:
         character
         for character in _COLOURS.sub("", str(text)[: 4 * limit])
         if character in "\n\t" or unicodedata.category(character) not in _HIDDEN
-    ).strip()
+    )
+    # Where the kubelet cuts a character in two, the API has U+FFFD in its place.
+    shown = shown.strip("\ufffd").strip()
     return shown if len(shown) <= limit else shown[: limit - 1] + "…"
 
 
@@ -164,6 +169,7 @@ def read_report(text: object) -> Report | None:
         metrics_problem=_text(found.get("metricsProblem")),
         frames=_model(Frames, found.get("frames")),
         cpu_model=_text(found.get("cpuModel"), 200),
+        pod=pod if isinstance(pod := found.get("pod"), str) and _POD.fullmatch(pod) else None,
         played=_played(found.get("played")),
         metrics=_metrics((_loaded(text) or {}).get("metrics")),
     )

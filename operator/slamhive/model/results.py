@@ -51,6 +51,7 @@ class Reason(Choice):
     NO_TRAJECTORY = "NoTrajectory"
     INVALID_TRAJECTORY = "InvalidTrajectory"
     NODE_LOST = "NodeLost"
+    DISRUPTED = "Disrupted"
     SYSTEM_FAULT = "SystemFault"
     CANCELLED = "Cancelled"
 
@@ -59,6 +60,7 @@ class Reason(Choice):
         """Tell whether the machine is to blame: such attempts are repeated and never reused."""
         return self in {
             Reason.NODE_LOST,
+            Reason.DISRUPTED,
             Reason.SYSTEM_FAULT,
             Reason.IMAGE_PULL_FAILED,
             Reason.ALGORITHM_UNAVAILABLE,

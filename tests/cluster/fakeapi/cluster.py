@@ -130,6 +130,15 @@ class FakeCluster:
 
         self._do(end)
 
+    def ignore_sigterm(self, *, now: bool) -> None:
+        """Have pods that are deleted go on, or end all of them."""
+
+        def change() -> None:
+            self._nodes.patience = now
+            self._nodes.look()
+
+        self._do(change)
+
     def refuse(self, refusing: Refusing) -> None:
         """Answer calls with a Refusal where the function returns one for verb, resource and body."""
         self._server.refusing = refusing

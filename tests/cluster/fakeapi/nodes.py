@@ -33,6 +33,7 @@ class Nodes:
 
     Attributes:
         plays: how pods end, by pool.
+        patience: whether pods that are deleted go on, as programs do that ignore SIGTERM.
     """
 
     def __init__(self, objects: Objects, later: Callable[[float, Callable[[], None]], object]) -> None:
@@ -40,6 +41,7 @@ class Nodes:
         self._later = later
         self._played: set[str] = set()
         self.plays: dict[str, Play] = {}
+        self.patience = False
 
     def look(self) -> None:
         """Look at all pods."""
@@ -49,7 +51,8 @@ class Nodes:
             if node is None:
                 self._schedule(pod, nodes)
             elif "deletionTimestamp" in pod["metadata"]:
-                self._take_away(pod)
+                if not self.patience:
+                    self._take_away(pod)
             elif pod["metadata"]["uid"] not in self._played:
                 self._play(pod, self.plays[node["metadata"]["labels"][POOL]])
 

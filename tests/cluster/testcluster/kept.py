@@ -7,6 +7,7 @@ import copy
 from typing import TYPE_CHECKING, Any
 
 from slamhive.kube import cluster
+from slamhive.kube.api.errors import NotFound
 from slamhive.kube.api.kinds import Key, Kind, key_of
 from slamhive.kube.loop import Loop
 from slamhive.kube.reconciling import reconcilers
@@ -136,6 +137,8 @@ class Cluster:
         return body | {"metadata": meta | body["metadata"] | {"resourceVersion": str(self._version)}}
 
     async def get(self, key: Key) -> dict[str, Any]:
+        if key not in self.objects:
+            raise NotFound(f"{key} not found", status=404)
         return self.objects[key]
 
     async def create(self, kind: Kind, body: dict[str, Any], _namespace: str | None) -> dict[str, Any]:

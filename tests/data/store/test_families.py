@@ -612,8 +612,8 @@ def added(
         family, sample = title.split(maxsplit=1)[0], SAMPLES[title]
         (folder := tmp_path / "families").mkdir()
         text = re.sub(r'(url: "?)https://[^/]+', rf"\g<1>{site.url}", (OWN / f"{family}.yaml").read_text())
-        # Samples are smaller than what they stand for.
-        text = re.sub(r"\n +size: \d+|\bsizes: \{[^}]*\},? ?", "", text)
+        # Samples are smaller than what they stand for, and have other checksums.
+        text = re.sub(r"\n +size: \d+|\b(sizes|sha256): \{[^}]*\},? ?", "", text)
         (folder / f"{family}.yaml").write_text(text)
         monkeypatch.setattr(catalogue, "catalogue_folders", lambda: [folder])
         monkeypatch.setenv("SLAMHIVE_HOME", str(tmp_path / "home"))

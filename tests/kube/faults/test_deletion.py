@@ -28,7 +28,7 @@ SECONDS = 120.0
 QUIET_SECONDS = 1.5
 KINDS = ("mappingruns", "jobs", "pods")
 SWEPT = {
-    "ending": Scenario("ending", SCENARIOS["study"].objects, retained=1, archived=2, evaluated=1),
+    "ending": Scenario("ending", SCENARIOS["study"].objects, retained=1, archived=3, evaluated=1),
     "running": Scenario("running", (sweep(),), Play(hold=True)),
 }
 

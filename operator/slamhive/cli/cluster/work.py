@@ -35,6 +35,7 @@ from slamhive.local.home.folder import Home
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError
+from slamhive.model.sizes import size_refused
 from slamhive.plan import FixedCatalog, plan_problems
 
 if TYPE_CHECKING:
@@ -155,6 +156,9 @@ def read(files: Sequence[Path], place: ClusterPlace) -> Submission:
     manifests = read_manifests(files, stdin)
     namespace = place.namespace or common_namespace(manifests, place.namespace)
     common_namespace(manifests, namespace)
+    too_large = [f"{one.source}: {told}" for one in manifests if (told := size_refused(one.item))]
+    if too_large:
+        raise InputError("\n".join(too_large))
     return Submission(manifests, ClusterPlace(place.context, namespace))
 
 

@@ -7,7 +7,6 @@ from slamhive.kube.builders.evaluation import (
     evaluator_job,
     evaluator_job_name,
     read_job,
-    read_job_name,
 )
 from slamhive.kube.builders.run import Companion, configuration, job_name, run_job
 from slamhive.kube.builders.variant import variant_job, variant_job_name, variant_name
@@ -23,7 +22,6 @@ __all__ = [
     "label",
     "label_value",
     "read_job",
-    "read_job_name",
     "run_job",
     "variant_job",
     "variant_job_name",

@@ -172,25 +172,24 @@ def _custom(evaluator: Evaluator, output: str, settings: Settings) -> list[Manif
     ]
 
 
-def read_job_name(run_uid: str, pod_uid: str) -> str:
-    """Return the name of the Job that reads what a monitor left."""
-    return f"{READ}-{digest({'run': run_uid, 'pod': pod_uid})[:_HASH_LENGTH]}"
-
-
-def read_job(*, run: Mapping[str, Any], pod_uid: str, settings: Settings) -> Manifest:
+def read_job(
+    *, run: Mapping[str, Any], pod_uid: str | None, attempt: int | None, settings: Settings
+) -> Manifest:
     """Return the Job that reads the summary of an attempt whose monitor left no last words.
 
     Args:
         run: the MappingRun as the API server returned it; it owns the Job.
-        pod_uid: identity of the attempt's pod.
+        pod_uid: identity of the attempt's pod; None: the run's last one, which is found on the volume.
+        attempt: number of the attempt.
         settings: the operator's.
 
     Raises:
         InputError: an identity is no segment of a path.
     """
     metadata = run["metadata"]
-    run_uid = metadata["uid"]
-    path = f"runs/{segment(run_uid, 'the uid')}/{segment(pod_uid, 'the uid')}/summary.json"
+    path = f"runs/{segment(metadata['uid'], 'the uid')}"
+    if pod_uid is not None:
+        path += f"/{segment(pod_uid, 'the uid')}/summary.json"
     body = container(
         READ,
         settings.image,
@@ -202,7 +201,7 @@ def read_job(*, run: Mapping[str, Any], pod_uid: str, settings: Settings) -> Man
     )
     return request_job(
         metadata["namespace"],
-        read_job_name(run_uid, pod_uid),
+        f"{READ}-{digest({'path': path, 'attempt': attempt})[:_HASH_LENGTH]}",
         pod_spec(settings),
         role=READ,
         containers=[body],

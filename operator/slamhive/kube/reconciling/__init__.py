@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from slamhive.kube.api.kinds import Key, Kind
+from slamhive.kube.reconciling.archiving import Keeper
 from slamhive.kube.reconciling.catalogue import Catalogue
 from slamhive.kube.reconciling.evaluating import Evaluations
 from slamhive.kube.reconciling.reuse import ReusableRuns
@@ -30,7 +31,8 @@ def reconcilers(archive: Archive | None = None) -> dict[Kind, Reconcile]:
     catalogue = Catalogue()
     reusable = ReusableRuns(catalogue, archive)
     evaluations = Evaluations(catalogue)
-    runs = RunReconciler(catalogue, evaluations, reusable)
+    keeper = Keeper(catalogue, archive) if archive is not None else None
+    runs = RunReconciler(catalogue, evaluations, reusable, keeper)
     sweeps = SweepReconciler(catalogue, archive)
     datasets = DatasetReconciler()
 

@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Archiving of a Sweep's finished runs beyond its retention: into the archive first, then deleted."""
+"""Archiving of finished runs: into the archive as they end; those beyond their Sweep's retention go then.
+
+A Sweep's runs are written together, before its status counts them: whoever deletes it loses none of them.
+"""
 
 from __future__ import annotations
 
 import asyncio
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from slamhive.archive import CatalogEntry
@@ -15,9 +19,10 @@ from slamhive.kube.reconciling.sweep_runs import decode_points, point_of, state_
 from slamhive.kube.records import record_of, with_evaluations
 from slamhive.kube.status import result_field
 from slamhive.model.errors import SlamHiveError, SystemFault, UnknownNameError
+from slamhive.model.evaluation import EvaluationSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from slamhive.archive import Archive
     from slamhive.kube.cluster import Cluster
@@ -26,6 +31,7 @@ if TYPE_CHECKING:
     from slamhive.model.sweep import Sweep
 
 _AT_ONCE = 50
+_KNOWN = 10_000
 _DELETED_AT_ONCE = 16
 
 P = ParamSpec("P")
@@ -61,8 +67,30 @@ async def at_its_end(archive: Archive | None, run: Object) -> Object:
     return run | {"status": run["status"] | {"results": [result_field(item) for item in record.results]}}
 
 
-class Retirement:
-    """Moves finished runs into the archive.
+@dataclass
+class KeptRuns:
+    """Runs that are known to be in the archive, those of a Sweep or those of none.
+
+    Attributes:
+        versions: their versions there, by UID.
+        retired: UIDs of those that were deleted here, as they are beyond the retention.
+    """
+
+    versions: dict[str, str] = field(default_factory=dict)
+    retired: set[str] = field(default_factory=set)
+
+    def has(self, run: Object) -> bool:
+        """Tell whether a run is there as it is now."""
+        version: str = run["metadata"]["resourceVersion"]
+        return self.versions.get(run["metadata"]["uid"]) == version
+
+    def add(self, run: Object) -> None:
+        """Note that a run is there as it is now."""
+        self.versions[run["metadata"]["uid"]] = run["metadata"]["resourceVersion"]
+
+
+class Keeper:
+    """Keeps finished runs in the archive.
 
     Args:
         catalogue: Algorithms and Datasets, of which the archive keeps what runs used.
@@ -73,17 +101,50 @@ class Retirement:
         self._catalogue = catalogue
         self._archive = archive
 
+    async def keep(
+        self, cluster: Cluster, runs: list[Object], settings: EvaluationSettings, kept: KeptRuns
+    ) -> None:
+        """Write those of some runs into the archive that are not there as they are now.
+
+        Raises:
+            ArchiveAway: the archive does not answer.
+        """
+        fresh = [run for run in runs if not kept.has(run)]
+        for start in range(0, len(fresh), _AT_ONCE):
+            batch = fresh[start : start + _AT_ONCE]
+            records = [self._records(cluster, settings, run) for run in batch]
+            await in_thread(self._archive.put_used, records)
+            for run in batch:
+                kept.add(run)
+
+    async def keep_single(self, cluster: Cluster, run: Object, kept: KeptRuns) -> None:
+        """Write a run that belongs to no Sweep into the archive, once nothing more will be written of it."""
+        if not is_settled(run) or kept.has(run):
+            return
+        if len(kept.versions) >= _KNOWN:
+            kept.versions.clear()  # they are looked up again
+        uid = run["metadata"]["uid"]
+        known = None if uid in kept.versions else await in_thread(self._archive.get, uid)
+        if known is not None and known.results == record_of(run).results:
+            kept.add(run)
+        await self.keep(cluster, [run], EvaluationSettings(), kept)
+
+    async def forget(self, uids: Iterable[str]) -> None:
+        """Remove runs from the archive, of which there are later ones."""
+        if gone := [*uids]:
+            await in_thread(self._archive.remove_runs, gone)
+
     async def retire(
-        self, cluster: Cluster, key: Key, sweep: Sweep, points: int, settled: list[Object]
+        self, cluster: Cluster, sweep: Sweep, body: Object, settled: list[Object], kept: KeptRuns
     ) -> list[float]:
         """Archive and delete the oldest settled runs beyond the retention.
 
         Args:
             cluster: the cluster.
-            key: address of the Sweep.
             sweep: the Sweep.
-            points: how many points it has.
+            body: the object, as it was last written.
             settled: its runs that have objects and of which nothing more will be written.
+            kept: those that are in the archive.
 
         Returns:
             After how many seconds to come back.
@@ -91,29 +152,29 @@ class Retirement:
         surplus = len(settled) - sweep.spec.retention.runs
         if surplus <= 0:
             return []
-        body = cluster.store.get(key)
-        if body is None:
-            return []
         settled = sorted(settled, key=lambda run: run["status"].get("completionTime") or "")
-        written = decode_points(body["status"].get("points"), points)
+        total = 1 + max(point_of(run) or 0 for run in settled)
+        written = decode_points(body["status"].get("points"), total)
         # Only what the status says to be done may go: the bit is what remains of a run here.
         going = [run for run in settled[:surplus] if written[point_of(run) or 0] == state_of(run)][:_AT_ONCE]
-        if going:
-            await in_thread(self._archive.put_used, [self._records(cluster, sweep, run) for run in going])
         # All are in the archive before the first is deleted: a crash in between leaves them in both, and the
         # next look deletes.
+        await self.keep(cluster, going, sweep.spec.evaluation, kept)
         limit = asyncio.Semaphore(_DELETED_AT_ONCE)
 
         async def delete(run: Object) -> bool:
             async with limit:
-                return await _is_deleted(cluster, run)
+                gone = await _is_deleted(cluster, run)
+            if gone:
+                kept.retired.add(run["metadata"]["uid"])
+            return gone
 
         told = await asyncio.gather(*(delete(run) for run in going))
         left = surplus - sum(told)
         return [cluster.settings.sweep_write_seconds] if left else []
 
     def _records(
-        self, cluster: Cluster, sweep: Sweep, run: Object
+        self, cluster: Cluster, settings: EvaluationSettings, run: Object
     ) -> tuple[RunRecord, CatalogEntry | None, CatalogEntry | None]:
         namespace, spec = run["metadata"]["namespace"], run["spec"]
         algorithm = dataset = found = None
@@ -130,7 +191,7 @@ class Retirement:
         except UnknownNameError:  # deleted from the catalog meanwhile
             pass
         record = record_of(run, attributes=attributes).replace(cluster=cluster.identity)
-        record = with_evaluations(record, sweep.spec.evaluation, found)
+        record = with_evaluations(record, settings, found)
         if annotations_of(run).get(FILES):
             record = record.replace(folder=None)  # the collector removes it
         return record, algorithm, dataset

@@ -10,7 +10,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slamhive.engine import (
-    AttemptEnd,
     AttemptState,
     Prepare,
     RunObserved,
@@ -32,10 +31,21 @@ from slamhive.kube.api.kinds import (
     reference,
 )
 from slamhive.kube.builders import configuration, read_job, run_job
+from slamhive.kube.builders.common import label_value
 from slamhive.kube.builders.player import player
 from slamhive.kube.builders.run import job_name
-from slamhive.kube.observing import Attempted, observe_attempt, observe_job
+from slamhive.kube.observing import (
+    TERMINATING,
+    Attempted,
+    observe_attempt,
+    observe_job,
+    observe_lost,
+)
+from slamhive.kube.pods import Waiting, live_pods
+from slamhive.kube.pods import condition as condition_of
 from slamhive.kube.reconciling import variants
+from slamhive.kube.reconciling.archiving import KeptRuns
+from slamhive.kube.reconciling.disruptions import Disruptions
 from slamhive.kube.reconciling.run_recording import RunRecorder
 from slamhive.kube.reconciling.run_status import RunFacts
 from slamhive.kube.reconciling.variants import Wanted
@@ -58,6 +68,7 @@ from slamhive.plan import option_problems, resolve, spec_hash
 if TYPE_CHECKING:
     from slamhive.engine import Decision
     from slamhive.kube.cluster import Cluster
+    from slamhive.kube.reconciling.archiving import Keeper
     from slamhive.kube.reconciling.catalogue import Catalogue
     from slamhive.kube.reconciling.evaluating import Evaluations
     from slamhive.kube.reconciling.reuse import ReusableRuns
@@ -83,15 +94,24 @@ class RunReconciler:
         catalogue: Algorithms and Datasets.
         evaluations: who measures finished runs.
         reusable: finished runs by content.
+        keeper: keeps runs that belong to no Sweep in the archive, if there is one.
     """
 
-    def __init__(self, catalogue: Catalogue, evaluations: Evaluations, reusable: ReusableRuns) -> None:
+    def __init__(
+        self,
+        catalogue: Catalogue,
+        evaluations: Evaluations,
+        reusable: ReusableRuns,
+        keeper: Keeper | None = None,
+    ) -> None:
         self._catalogue = catalogue
         self._evaluations = evaluations
         self._reusable = reusable
         self._recorder = RunRecorder(catalogue, evaluations, reusable)
         self._waiting: set[Key] = set()
         self._resolved: dict[Key, _Resolved] = {}
+        self._keeper = keeper
+        self._kept = KeptRuns()
 
     def waiting(self, namespace: str) -> list[Key]:
         """Return the runs that wait for the catalog."""
@@ -99,6 +119,14 @@ class RunReconciler:
 
     async def __call__(self, cluster: Cluster, key: Key) -> float | None:
         """Look at a run, do what is to be done next, and write what changed."""
+        again = await self._look(cluster, key)
+        run = cluster.store.get(key)
+        # Those of a Sweep are kept together.
+        if self._keeper is not None and run is not None and Label.SWEEP not in labels_of(run):
+            await self._keeper.keep_single(cluster, run, self._kept)
+        return again
+
+    async def _look(self, cluster: Cluster, key: Key) -> float | None:
         self._waiting.discard(key)
         run = cluster.store.get(key)
         if run is None or run["metadata"].get("deletionTimestamp"):
@@ -154,26 +182,28 @@ class RunReconciler:
             dataset=dataset,
             wanted=known.wanted,
             variant=variants.look(cluster, key.namespace, known.wanted, max(created, state.not_before)),
-            attempted=observe_attempt(job, cluster.store.pods_of(job)),
+            attempted=_seen(cluster, key, run, job, state),
             job=job,
         )
 
     async def _run_to_end(self, cluster: Cluster, facts: RunFacts, state: RunState) -> float | None:
         """Do what is next for a run that has all it needs; returns when to look again."""
+        if facts.is_lost and await self._is_there(cluster, facts, state.attempts):
+            return _TAKEN_SECONDS
         attempted = await self._with_report(cluster, facts)
         if attempted is None:
             return None
+        disruptions = Disruptions.of(facts.body["status"], attempted)
         waits = await patience(cluster, facts.job, attempted.waiting, room_seconds=0.0)
-        facts = replace(facts, attempted=_borne(attempted, waits))
+        waits = disruptions.told(attempted, waits)
+        facts = replace(facts, attempted=_borne(attempted, waits), disruptions=disruptions)
         # The status may be older than the Jobs: an operator can die between creating one and counting it.
         state = replace(state, attempts=max(state.attempts, attempted.number or 0))
-        if _is_lost(facts, state) and await self._is_there(cluster, facts, state.attempts):
-            return _TAKEN_SECONDS
         now = cluster.clock()
         # Looked for only where an attempt could begin: it can cost a query to the archive.
         may_begin = facts.attempted.state is AttemptState.NONE and state.not_before <= now
         equal = await self._reusable.find(cluster, facts) if may_begin and not facts.is_cancelled else None
-        decision = decide_run(state, _observed(facts, state, is_reusable=equal is not None), now)
+        decision = decide_run(state, _observed(facts, is_reusable=equal is not None), now)
         starts = any(isinstance(action, Start) for action in decision.actions)
         try:
             delay = await self._act(cluster, facts, decision)
@@ -203,7 +233,12 @@ class RunReconciler:
             return attempted
         # The termination message is a copy that can be missing. The truth is summary.json on the results
         # volume, which the operator does not mount: a Job reads it.
-        body = read_job(run=facts.body, pod_uid=attempted.pod_uid or "", settings=cluster.settings)
+        body = read_job(
+            run=facts.body,
+            pod_uid=attempted.pod_uid,
+            attempt=attempted.number,
+            settings=cluster.settings,
+        )
         key = key_of(Kind.JOB, body)
         job = cluster.store.get(key)
         if job is None:
@@ -212,7 +247,9 @@ class RunReconciler:
             except AlreadyExists:
                 job = await cluster.refresh(key)
         seen = observe_job(job, cluster.store.pods_of(job))
-        if seen.state is not AttemptState.ENDED:
+        if seen.is_lost:
+            await cluster.delete(key)  # that leads back here, and to another
+        if seen.is_lost or seen.state is not AttemptState.ENDED:
             return None
         return attempted.with_report(read_report(seen.words), seen.problem)
 
@@ -308,30 +345,45 @@ def _borne(attempted: Attempted, waits: Patience) -> Attempted:
     return replace(attempted, waiting=waits.waiting, state=AttemptState.ENDED, end=waits.end)
 
 
-def _observed(facts: RunFacts, state: RunState, *, is_reusable: bool) -> RunObserved:
+def _observed(facts: RunFacts, *, is_reusable: bool) -> RunObserved:
     """Return the engine's view of a run."""
     attempted, spec = facts.attempted, facts.spec
-    attempt, end, number = attempted.state, attempted.end, attempted.number
-    if _is_lost(facts, state):
-        attempt, number = AttemptState.ENDED, state.attempts
-        end = AttemptEnd(reason=Reason.SYSTEM_FAULT, message="its Job was deleted by someone else")
     return RunObserved(
         retries=spec["retries"],
         cancel=facts.is_cancelled,
         reusable=is_reusable,
         variant=facts.variant.state,
         variant_problem=facts.variant.problem,
-        attempt=attempt,
-        end=end,
-        number=number,
+        attempt=attempted.state,
+        end=attempted.end,
+        number=attempted.number,
         wants_evaluation=spec["evaluate"],
     )
 
 
-def _is_lost(facts: RunFacts, state: RunState) -> bool:
-    """Tell whether the Job of an attempt that was running is not seen any more."""
-    gone = facts.attempted.state is AttemptState.NONE
-    return gone and state.phase is Phase.RUNNING and state.attempts > state.judged
+def _seen(
+    cluster: Cluster, key: Key, run: dict[str, Any], job: dict[str, Any] | None, state: RunState
+) -> Attempted:
+    """Return the newest attempt as Job, pods and status show it."""
+    told = condition_of(run, "Scheduled") or {}
+    interrupted = told.get("reason") == TERMINATING
+    if job is not None:
+        return observe_attempt(job, cluster.store.pods_of(job), was_interrupted=interrupted)
+    # Of a Job that was deleted the pod lives on for its grace time, and nothing may run beside it.
+    found = cluster.store.select(Kind.POD, key.namespace, Label.RUN, label_value(key.name))
+    pods = [pod for pod in found if labels_of(pod).get(Label.ROLE) == Role.RUN]
+    made = run["metadata"].get("creationTimestamp") or ""
+    own = [pod for pod in pods if (pod["metadata"].get("creationTimestamp") or "") >= made]
+    if live_pods(own):
+        waiting = Waiting(TERMINATING, "its Job was deleted, and its pod has not ended")
+        return replace(observe_attempt(None, live_pods(own)), waiting=waiting)
+    if live_pods(pods):
+        waiting = Waiting(TERMINATING, "the pod of an earlier run of this name has not ended")
+        return Attempted(AttemptState.RUNNING, waiting=waiting)
+    if state.phase is not Phase.RUNNING or state.attempts <= state.judged or run["spec"].get("cancel"):
+        return Attempted()
+    interrupted |= any(pod["status"].get("phase") == "Failed" for pod in own)
+    return observe_lost(state.attempts, was_interrupted=interrupted)
 
 
 def _insist_on_effects(spec: dict[str, Any], algorithm: Algorithm, dataset: Dataset) -> None:

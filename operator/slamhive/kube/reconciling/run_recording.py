@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import AttemptState, RunObserved, RunState, decide_run
 from slamhive.kube.api.kinds import Key, Kind, key_of
+from slamhive.kube.observing import DISRUPTED
 from slamhive.kube.reconciling.run_status import (
     RunFacts,
     attempt_fields,
@@ -76,6 +77,9 @@ class RunRecorder:
             return  # the Job says that it was created
         status = state_fields(state) | MappingRunStatus(variant=facts.wanted.name)
         fresh = [condition("Accepted", True, "Accepted"), *_scheduling(facts, state)]
+        taken = facts.disruptions
+        if taken.is_news:
+            status |= MappingRunStatus(disruptions=taken.count, disrupted_pod=taken.pod)
         if holds(facts.body["status"], "Admitted") is False:
             fresh.append(condition("Admitted", True, "Admitted"))
         if begins:
@@ -92,6 +96,10 @@ class RunRecorder:
                 cluster, facts
             )  # before those that wait for the run's end look for one like it
         await cluster.write_status(Kind.MAPPING_RUN, facts.body, status, fresh)
+        if taken.is_news:
+            why = attempted.waiting.message if attempted.waiting else "its pod was taken away"
+            text = why if taken.sentence in why else f"{why}; {taken.sentence}"
+            await cluster.api.event(Kind.MAPPING_RUN, facts.body, "Warning", DISRUPTED, text)
         if state.phase.is_finished:
             await announce(cluster, facts.key)
             run = cluster.store.get(facts.key)

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from slamhive import __version__
-from slamhive.engine import taken_over
+from slamhive.engine import AttemptState, taken_over
 from slamhive.kube.api.encoding import encode
 from slamhive.kube.api.kinds import Key, Kind
+from slamhive.kube.reconciling.disruptions import NO_DISRUPTIONS, Disruptions
 from slamhive.kube.reconciling.sweep_runs import asked_of
 from slamhive.kube.status import display, iso, result_field
 from slamhive.model.results import Prepared, Provenance, TrajectoryInfo, Usage
@@ -45,6 +46,7 @@ class RunFacts:
         variant: what is known of that.
         attempted: what is seen of its newest attempt.
         job: the newest attempt's Job.
+        disruptions: how often its pods were taken by what is no fault of theirs.
     """
 
     key: Key
@@ -57,11 +59,17 @@ class RunFacts:
     variant: VariantSeen
     attempted: Attempted
     job: dict[str, Any] | None
+    disruptions: Disruptions = NO_DISRUPTIONS
 
     @property
     def uid(self) -> str:
         """Return its uid."""
         return str(self.body["metadata"]["uid"])
+
+    @property
+    def is_lost(self) -> bool:
+        """Tell whether neither Job nor pod of an attempt that ran is seen any more."""
+        return self.job is None and self.attempted.state is AttemptState.ENDED and self.attempted.pod is None
 
     @property
     def is_cancelled(self) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import (
     PointState,
@@ -22,10 +22,20 @@ from slamhive.engine import (
     decide_sweep,
 )
 from slamhive.kube.api.errors import REFUSALS, AlreadyExists, Conflict
-from slamhive.kube.api.kinds import Key, Kind, Label, Object, key_of, owner_uids
-from slamhive.kube.reconciling.archiving import ArchiveAway, Retirement, at_its_end, in_thread
+from slamhive.kube.api.kinds import Key, Kind, Label, Object, key_of, labels_of, owner_uids
+from slamhive.kube.builders.common import label_value
+from slamhive.kube.pods import live_pods
+from slamhive.kube.reconciling.archiving import ArchiveAway, Keeper, in_thread
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.reconciling.evaluation_groups import SWEEP_PREFIX
+from slamhive.kube.reconciling.sweep_losses import (
+    announcement,
+    are_missing,
+    give_up,
+    remark,
+    take_back,
+    take_out,
+)
 from slamhive.kube.reconciling.sweep_runs import (
     Finished,
     SweepTally,
@@ -39,13 +49,15 @@ from slamhive.kube.reconciling.sweep_runs import (
     state_of,
 )
 from slamhive.kube.reconciling.sweep_state import SweepMemory, remember
-from slamhive.kube.status import condition, holds, iso, metres, moment, status_patch
+from slamhive.kube.status import condition, holds, iso, metres, moment, phase_of, status_patch
 from slamhive.model.base import seconds
 from slamhive.model.errors import InputError
 from slamhive.model.status import SweepDisplay, SweepStatus
 from slamhive.model.sweep import Sweep
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from slamhive.archive import Archive
     from slamhive.kube.cluster import Cluster
     from slamhive.kube.reconciling.catalogue import Catalogue
@@ -56,6 +68,7 @@ _LONGEST_LOOK_SECONDS = 0.3
 _MANY = 100
 _BLOCKED_SECONDS = 5.0
 _AWAY_SECONDS = 10.0
+_LEAVING_SECONDS = 1.0
 _SHOWN_PROBLEMS = 20
 _AT_ONCE = 16
 _BATCHES_WAITING = 2
@@ -99,7 +112,7 @@ class SweepReconciler:
     def __init__(self, catalogue: Catalogue, archive: Archive | None = None) -> None:
         self._catalogue = catalogue
         self._archive = archive
-        self._retirement = Retirement(catalogue, archive) if archive is not None else None
+        self._keeper = Keeper(catalogue, archive) if archive is not None else None
         self._memory: dict[str, SweepMemory] = {}
         self._parsed: dict[str, tuple[int, Sweep]] = {}
         self._waiting: set[Key] = set()
@@ -114,7 +127,7 @@ class SweepReconciler:
         self._waiting.discard(key)
         body = cluster.store.get(key)
         if body is None or body["metadata"].get("deletionTimestamp"):
-            self._tidy(cluster)
+            await self._tidy(cluster)
             return None
         try:
             again = await self._reconcile(cluster, key, body)
@@ -152,16 +165,41 @@ class SweepReconciler:
             return _LOOK_SECONDS
         return await self._drive_window(cluster, seen, now)
 
-    def _tidy(self, cluster: Cluster) -> None:
+    async def _tidy(self, cluster: Cluster) -> None:
         alive = {
             body["metadata"]["uid"]
             for namespace in cluster.settings.namespaces
             for body in cluster.store.of(Kind.SWEEP, namespace)
         }
-        for uid in [uid for uid in (*self._memory, *self._parsed, *self._archive_away) if uid not in alive]:
+        for uid in [uid for uid in self._memory if uid not in alive]:
+            memory = self._memory.pop(uid)
+            try:
+                await self._part(cluster, self._parsed[uid][1], memory)
+            except ArchiveAway:
+                self._memory[uid] = memory
+                raise
+        for uid in [uid for uid in (*self._parsed, *self._archive_away) if uid not in alive]:
             self._archive_away.pop(uid, None)
-            self._memory.pop(uid, None)
             self._parsed.pop(uid, None)
+
+    async def _part(self, cluster: Cluster, sweep: Sweep, memory: SweepMemory) -> None:
+        """Archive what has ended of a Sweep that was deleted, and tell what stays of it."""
+        meta = sweep.metadata
+        key = Key(Kind.SWEEP, meta.namespace or "", sweep.name)
+        runs = {run["metadata"]["uid"]: run for run in _owned(cluster, key, meta.uid or "")}
+        ended = {one.run["metadata"]["uid"]: one.run for one in memory.finished.values()}
+        ended |= {uid: run for uid, run in runs.items() if phase_of(run["status"]).is_finished}
+        text = f"{len(ended)} runs that had ended "
+        if self._keeper is not None:
+            await self._keeper.keep(cluster, [*ended.values()], sweep.spec.evaluation, memory.kept)
+            kept = sweep.spec.retention.files == "Keep"
+            files = "their folders stay where they are" if kept else "the collector removes their folders"
+            text += f"are in the archive, as are those that were retired; {files}"
+        else:
+            text += "are gone with it, as there is no archive; the collector removes their folders"
+        regarding = {"metadata": {"name": sweep.name, "namespace": key.namespace, "uid": meta.uid}}
+        bad = ended and self._keeper is None
+        await cluster.api.event(Kind.SWEEP, regarding, "Warning" if bad else "Normal", "Deleted", text)
 
     def _sweep(self, body: Object) -> Sweep:
         uid, generation = body["metadata"]["uid"], body["metadata"].get("generation", 1)
@@ -174,7 +212,7 @@ class SweepReconciler:
     async def _remembered(self, cluster: Cluster, key: Key, body: Object, sweep: Sweep) -> SweepMemory:
         uid = body["metadata"]["uid"]
         if uid not in self._memory:
-            live = {run["metadata"]["uid"]: state_of(run) for run in _own(cluster, key, uid)}
+            live = [run for run in _own(cluster, key, uid) if point_of(run) is not None]
             accepted = bool(holds(body["status"], "Accepted"))
             catalog = self._catalogue.all(cluster.store, key.namespace)
             memory = await remember(
@@ -203,12 +241,7 @@ class SweepReconciler:
             index = point_of(run)
             if index is not None and index < len(memory.states):
                 runs[index] = run
-        # Their objects are gone, but their CPU time and results still count: for budgets, and for `best`.
-        gone = [index for index in memory.finished if index not in runs]
-        for index in gone:
-            memory.archived.add(Finished.of(await at_its_end(self._archive, memory.finished[index].run)))
-            del memory.finished[index]
-        await self._look_for_missing(cluster, key, body["metadata"]["uid"], memory, runs)
+        await self._look_for_missing(cluster, body, sweep, memory, runs)
         for index, run in runs.items():
             known = memory.finished.get(index)
             # The store has the same object until there is a newer one: hundreds are looked at each time.
@@ -218,14 +251,15 @@ class SweepReconciler:
                 if memory.states[index] != PointState.ACTIVE:
                     memory.finished[index] = Finished.of(run)
         tally = replace(memory.archived)
-        tally.add(*memory.finished.values())
+        tally.add(*memory.finished.values(), *memory.deleted.values())
         return _SweepPicture(key, body, sweep, memory, runs, tally)
 
-    @staticmethod
     async def _look_for_missing(
-        cluster: Cluster, key: Key, uid: str, memory: SweepMemory, runs: dict[int, Object]
+        self, cluster: Cluster, body: Object, sweep: Sweep, memory: SweepMemory, runs: dict[int, Object]
     ) -> None:
-        """Find out about points in flight whose runs are not seen: deleted by someone, which cancels them."""
+        """Find out about points whose runs are not seen any more: deleted by someone, which cancels them."""
+        key, uid = key_of(Kind.SWEEP, body), body["metadata"]["uid"]
+        missing = []
         index = memory.states.find(PointState.ACTIVE)
         while index >= 0:
             if index not in runs:
@@ -236,16 +270,29 @@ class SweepReconciler:
                 if run is not None and _is_of(run, uid):
                     runs[index] = run
                 else:
-                    memory.states[index] = PointState.FAILED
+                    missing.append(index)
             index = memory.states.find(PointState.ACTIVE, index + 1)
+        if missing or are_missing(memory, runs):
+            # A Sweep that is deleted takes its runs with it, and the watch of runs may tell before its own.
+            there = await cluster.refresh(key)
+            if there is None or there["metadata"]["uid"] != uid or there["metadata"].get("deletionTimestamp"):
+                raise Conflict(f"{key} is being deleted", status=409)
+        names = await take_out(memory, self._archive, sweep.spec.retention.runs, runs)
+        names += [give_up(memory, index) for index in missing]
+        take_back(memory, runs)
+        if names:
+            text = announcement(memory, names)
+            await cluster.api.event(Kind.SWEEP, body, "Warning", "RunsDeleted", text)
 
     async def _drive_window(self, cluster: Cluster, seen: _SweepPicture, now: float) -> float | None:
         """Start or stop what is due, write what changed, and archive what is done."""
         memory, sweep = seen.memory, seen.sweep
+        leaving = _leaving(cluster, seen)
+        window = sweep.spec.parallelism or cluster.settings.default_parallelism
         observed = SweepObserved(
             states=memory.states,
             order=memory.order,
-            parallelism=sweep.spec.parallelism or cluster.settings.default_parallelism,
+            parallelism=max(0, window - len(leaving)),
             started_at=memory.started_at,
             cpu_seconds=seen.tally.cpu_seconds,
             cursor=memory.cursor,
@@ -256,14 +303,15 @@ class SweepReconciler:
         unmade: str | None = None
         for action in decision.actions:
             match action:
-                case StartPoints() if self._is_held_back(seen, observed.parallelism):
+                case StartPoints() if self._is_held_back(seen, window):
                     pass
                 case StartPoints(indices):
-                    unmade = self._backlog(cluster, seen, observed.parallelism)
+                    unmade = self._backlog(cluster, seen, window)
                     unmade = unmade or await self._start(cluster, seen, indices, now)
                 case StopPoints(indices):
                     await self._cancel(cluster, [seen.runs[index] for index in indices if index in seen.runs])
         delays = [_BLOCKED_SECONDS] if unmade else []
+        delays += [_LEAVING_SECONDS] if leaving else []
         still = standing_still(seen.runs, cluster.failing)
         blocked = "\n".join(filter(None, (unmade, still)))
         word = "CannotCreate" if unmade else "RunsStandStill" if still else "Free"
@@ -272,10 +320,9 @@ class SweepReconciler:
         delays += await self._write_status(
             cluster, seen, decision, condition("Blocked", bool(blocked), word, blocked), now
         )
-        if self._archive is not None and self._retirement is not None:
-            delays += await self._retirement.retire(
-                cluster, seen.key, sweep, len(memory.states), seen.settled
-            )
+        if self._archive is not None and self._keeper is not None:
+            body = cluster.store.get(seen.key) or seen.body
+            delays += await self._keeper.retire(cluster, sweep, body, seen.settled, memory.kept)
             if seen.body["metadata"]["uid"] in self._archive_away:
                 await in_thread(self._archive.get, seen.body["metadata"]["uid"])
                 # It answers again: what was held back may start.
@@ -311,7 +358,7 @@ class SweepReconciler:
             await _insist_on_newest(cluster, seen)
         if seen.memory.started_at is None:
             seen.memory.started_at = now
-        used = slots_used(seen.runs.values())
+        used = slots_used([*seen.runs.values(), *_leaving(cluster, seen)])
         limit = asyncio.Semaphore(_AT_ONCE)
 
         async def create(index: int, slot: int) -> str | None:
@@ -365,12 +412,15 @@ class SweepReconciler:
         over = decision.verdict.is_final and settled
         if over and not body["status"].get("completionTime"):
             status |= SweepStatus(completion_time=iso(now))
-        if not status_patch(body, status.as_patch(), conditions, now):
+        is_news = bool(status_patch(body, status.as_patch(), conditions, now))
+        fresh = self._keeper is not None and not all(memory.kept.has(run) for run in seen.settled)
+        if not is_news and not fresh:
             return []
         # However many runs end, the status is written once in this time; the Sweep's own end does not wait.
         wait = memory.written_at + cluster.settings.sweep_write_seconds - now
-        if wait > 0 and not over:
+        if wait > 0 and not (over and is_news):
             return [wait]
+        away = await self._keep(cluster, seen)
         # Noted before the answer: where that is lost, the write may have been done and must not look like
         # another operator's.
         memory.points = status.points
@@ -379,7 +429,25 @@ class SweepReconciler:
         if blocked["status"] == "True" and not holds(body["status"], "Blocked"):
             await cluster.api.event(Kind.SWEEP, answer, "Warning", blocked["reason"], blocked["message"])
         await self._announce_phase(cluster, body, answer)
+        if away is not None:
+            raise away
         return []
+
+    async def _keep(self, cluster: Cluster, seen: _SweepPicture) -> ArchiveAway | None:
+        """Archive what has ended before the status counts it: who deletes the Sweep then loses none of it.
+
+        An archive that is away is told after the status is written, as the Sweep goes on.
+        """
+        try:
+            if self._keeper is not None:
+                await self._keeper.keep(cluster, seen.settled, seen.sweep.spec.evaluation, seen.memory.kept)
+                points = seen.memory.replaced.keys() & {point_of(run) for run in seen.settled}
+                await self._keeper.forget(uid for index in points for uid in seen.memory.replaced[index])
+                for index in points:
+                    del seen.memory.replaced[index]
+        except ArchiveAway as error:
+            return error
+        return None
 
     @staticmethod
     async def _announce_phase(cluster: Cluster, before: Object, after: Object) -> None:
@@ -409,9 +477,13 @@ async def _tell_archive(cluster: Cluster, key: Key, told: Object) -> None:
         await cluster.api.event(Kind.SWEEP, answer, "Warning", told["type"], told["message"])
 
 
-def _own(cluster: Cluster, key: Key, uid: str) -> list[Object]:
+def _owned(cluster: Cluster, key: Key, uid: str) -> list[Object]:
     runs = cluster.store.select(Kind.MAPPING_RUN, key.namespace, Label.SWEEP, key.name)
-    return [run for run in runs if _is_of(run, uid)]
+    return [run for run in runs if uid in owner_uids(run)]
+
+
+def _own(cluster: Cluster, key: Key, uid: str) -> list[Object]:
+    return [run for run in _owned(cluster, key, uid) if _is_of(run, uid)]
 
 
 def _is_of(run: Object, uid: str) -> bool:
@@ -444,6 +516,14 @@ async def _insist_on_newest(cluster: Cluster, seen: _SweepPicture) -> None:
         raise Conflict(f"{seen.key} has changed since it was looked at", status=409)
 
 
+def _leaving(cluster: Cluster, seen: _SweepPicture) -> list[Mapping[str, Any]]:
+    """Return the pods at work whose runs were deleted or are over: a slot is free when its pod has ended."""
+    going = (run for run in seen.runs.values() if state_of(run) is PointState.ACTIVE)
+    active = {label_value(run["metadata"]["name"]) for run in going}
+    pods = cluster.store.select(Kind.POD, seen.key.namespace, Label.SWEEP, label_value(seen.key.name))
+    return [pod for pod in live_pods(pods) if labels_of(pod).get(Label.RUN) not in active]
+
+
 def _budget_left(sweep: Sweep, memory: SweepMemory, now: float) -> float:
     """Return after how many seconds to look at the budget of time again."""
     end = (memory.started_at or now) + seconds(sweep.spec.budget.wall_time or "0s")
@@ -466,6 +546,7 @@ def _figures(memory: SweepMemory, tally: SweepTally) -> SweepStatus:
         progress=f"{done}/{total}",
         best=tally.best,
         points=encode_points(memory.states),
+        deleted=memory.deletions or None,
     )
     if tally.best:
         status |= SweepStatus(display=SweepDisplay(ate=metres(tally.best[0].ate)))
@@ -479,9 +560,10 @@ def _standing(
     verdict = decision.verdict
     final = verdict.is_final
     phase = str(verdict) if settled or not final else "Evaluating"
+    told = "; ".join(filter(None, (decision.message, remark(seen.memory))))
     fresh = [
         condition("Accepted", True, "Accepted", seen.memory.remarks),
-        condition("Complete", final and settled, str(verdict) if final else "Running", decision.message),
+        condition("Complete", final and settled, str(verdict) if final else "Running", told),
         condition(
             "Suspended", verdict is Verdict.SUSPENDED, "Suspended" if seen.sweep.spec.suspend else "Active"
         ),

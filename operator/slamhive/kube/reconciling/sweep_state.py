@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 from slamhive.archive import SweepRecord
 from slamhive.engine import PointState
 from slamhive.kube.api.encoding import encode
-from slamhive.kube.reconciling.archiving import in_thread
-from slamhive.kube.reconciling.sweep_runs import Finished, SweepTally, decode_points
+from slamhive.kube.reconciling.archiving import KeptRuns, in_thread
+from slamhive.kube.reconciling.sweep_runs import Finished, SweepTally, decode_points, point_of
 from slamhive.kube.status import moment
 from slamhive.model.errors import InputError
 from slamhive.model.results import Phase
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamhive.archive import Archive
+    from slamhive.kube.api.kinds import Object
     from slamhive.model.status import SweepStatus
     from slamhive.model.sweep import Axis, Sweep
 
@@ -51,6 +52,11 @@ class SweepMemory:
         written_at: when its status was last written.
         finished: its finished runs that were there when it was last looked at, by point.
         points: the states of its points as they were last written or read.
+        kept: its runs that are in the archive.
+        deletions: how many of its runs were deleted by others.
+        deleted: of these the finished ones, by point, unless that was done again.
+        replaced: UIDs of runs that were deleted and are done again, by point: their records go then.
+        lost: points that are done, of whose runs neither object nor record is left.
     """
 
     plan: Plan
@@ -65,6 +71,11 @@ class SweepMemory:
     written_at: float = 0.0
     finished: dict[int, Finished] = field(default_factory=dict)
     points: str | None = None
+    kept: KeptRuns = field(default_factory=KeptRuns)
+    deletions: int = 0
+    deleted: dict[int, Finished] = field(default_factory=dict)
+    replaced: dict[int, set[str]] = field(default_factory=dict)
+    lost: set[int] = field(default_factory=set)
 
 
 def choose(sweep: Sweep, catalog: FixedCatalog, status: SweepStatus) -> list[AxisSelection]:
@@ -99,7 +110,7 @@ async def remember(
     sweep: Sweep,
     status: SweepStatus,
     catalog: FixedCatalog,
-    live: dict[str, PointState],
+    live: list[Object],
     archive: Archive | None,
     *,
     accepted: bool,
@@ -111,7 +122,7 @@ async def remember(
         sweep: the Sweep.
         status: its status.
         catalog: Algorithms and Datasets of its namespace.
-        live: states of its live runs by uid.
+        live: its live runs.
         archive: where finished runs go.
         accepted: whether it was accepted before; then the catalog isn't checked again.
         cluster: what tells its cluster from others.
@@ -137,31 +148,32 @@ async def remember(
 
     # In a thread: a plan of tens of thousands of points takes long enough for probes and watches to suffer.
     plan, order, remarks = await asyncio.to_thread(lay_out)
-    states = decode_points(status.points, len(plan))
-    archived = SweepTally(best=status.best)
-    if archive is not None:
-        await in_thread(_recall, sweep, archive, live, states, archived, cluster)
-    return SweepMemory(
+    memory = SweepMemory(
         plan=plan,
         order=array("I", order),  # a tenth of a list's memory
-        states=states,
+        states=decode_points(status.points, len(plan)),
         selected=selected,
-        archived=archived,
+        archived=SweepTally(best=status.best),
         remarks=remarks,
         started_at=moment(status.start_time),
         points=status.points,
+        deletions=status.deleted or 0,
     )
+    there = {point_of(run) for run in live}
+    if archive is not None:
+        there |= await in_thread(_recall, sweep, archive, live, memory, cluster)
+    memory.lost = {
+        index
+        for index, state in enumerate(memory.states)
+        if state >= PointState.SUCCEEDED and index not in there
+    }
+    return memory
 
 
-def _recall(  # noqa: PLR0917 - called in a thread
-    sweep: Sweep,
-    archive: Archive,
-    live: dict[str, PointState],
-    states: bytearray,
-    archived: SweepTally,
-    cluster: str | None = None,
-) -> None:
-    """Take from the archive what became of the runs whose objects are gone."""
+def _recall(
+    sweep: Sweep, archive: Archive, live: list[Object], memory: SweepMemory, cluster: str | None
+) -> set[int]:
+    """Take from the archive what became of the runs whose objects are gone; returns their points."""
     uid = sweep.metadata.uid or ""
     archive.put_sweep(
         SweepRecord(
@@ -175,11 +187,25 @@ def _recall(  # noqa: PLR0917 - called in a thread
             evaluation=sweep.spec.evaluation.as_json(),
         )
     )
+    present = {run["metadata"]["uid"]: run for run in live}
+    points = {point_of(run) for run in live}
+    ended: set[int] = set()
+    without = set(present)
     for run, point in archive.finished(uid).items():
-        # A run can be in the archive and still be live, when its deletion was cut short: the live one counts.
-        if run not in live and point.index is not None and point.index < len(states):
-            succeeded = point.phase is Phase.SUCCEEDED
-            states[point.index] = PointState.SUCCEEDED if succeeded else PointState.FAILED
-    totals = archive.totals(uid, live)
-    archived.reused, archived.evaluated = totals.reused, totals.evaluated
-    archived.cpu_seconds = totals.cpu_seconds
+        if run in present:
+            # What was measured of it later than it was archived is still to be written there.
+            if len(present[run]["status"].get("results") or ()) == point.results:
+                memory.kept.add(present[run])
+        elif point.index is not None and point.index < len(memory.states):
+            # A run that was deleted and is done again counts once.
+            if point.index in points:
+                memory.replaced.setdefault(point.index, set()).add(run)
+                without.add(run)
+            else:
+                succeeded = point.phase is Phase.SUCCEEDED
+                memory.states[point.index] = PointState.SUCCEEDED if succeeded else PointState.FAILED
+                ended.add(point.index)
+    totals = archive.totals(uid, without)
+    memory.archived.reused, memory.archived.evaluated = totals.reused, totals.evaluated
+    memory.archived.cpu_seconds = totals.cpu_seconds
+    return ended

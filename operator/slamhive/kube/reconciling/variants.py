@@ -128,8 +128,10 @@ async def make(cluster: Cluster, namespace: str, wanted: Wanted, owner: dict[str
     """
     jobs = cluster.store.select(Kind.JOB, namespace, Label.VARIANT, wanted.name)
     for job in jobs:
-        # The Job's name follows from the variant: the failed one has to go before another can be made.
-        if observe_variant(job, cluster.store.pods_of(job)).state is VariantState.FAILED:
+        # The Job's name follows from the variant: one that failed, or whose word went with its pod, has to go
+        # before another can be made.
+        seen = observe_variant(job, cluster.store.pods_of(job))
+        if seen.state in {VariantState.FAILED, VariantState.ABSENT}:
             await cluster.delete(key_of(Kind.JOB, job))
             return _PENDING_SECONDS / 5
     if not jobs:

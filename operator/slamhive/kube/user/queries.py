@@ -165,6 +165,8 @@ def troubles(kind: Kind, body: Mapping[str, Any], now: float) -> list[str]:
     passed = {"Accepted", "Admitted", "Scheduled"} if ended else set()
     passed |= {"LiveUsage"} if is_over(kind, body) else set()
     sentences = []
+    if status.get("deleted"):
+        sentences.append(f"runs deleted by hand: {status['deleted']}")
     for item in conditions:
         bad, words = _BAD.get(item["type"], ("", ""))
         if item["status"] != bad or item["type"] in passed:

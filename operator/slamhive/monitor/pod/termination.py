@@ -32,6 +32,7 @@ _TAKEN_OVER = (
     "frames",
     "played",
     "cpuModel",
+    "pod",
 )
 # Of these, in this order, as much goes as must; what can't be shortened goes altogether.
 _GIVEN_UP = (

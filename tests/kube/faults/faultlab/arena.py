@@ -164,10 +164,13 @@ class Instance:
     def outcome(self) -> Outcome:
         """Return the outcome by now, in a form that is the same whenever all went the same way."""
         seen, namespace = self.arena.seen, self.namespace
-        ends = [(_place(run), _end(run)) for run in seen.alive("mappingruns", namespace)]
+        alive = {run["metadata"]["uid"]: run for run in seen.alive("mappingruns", namespace)}
+        ends = [(_place(run), _end(run)) for run in alive.values()]
         records = self.records()
         objects = seen.ever["mappingruns", namespace]
         for record in records:
+            if record.uid in alive:
+                continue
             cpu = record.usage.cpu.seconds if record.usage else None
             results = tuple(
                 (item.evaluation, item.values["ate"]["rmse"] == error_of(record.uid))
@@ -220,7 +223,7 @@ class Outcome:
         ends: how each run ended with its point, live ones and archived ones, and where the Sweep stands, each
             with its conditions.
         created: how many objects there were of each point and attempt.
-        archived: rows of the archive; which runs it has depends on which ended first.
+        archived: rows of the archive.
         orphans: Jobs and pods whose owner is gone; they go by themselves after a moment.
     """
 

@@ -99,7 +99,7 @@ SCENARIOS = {
             "study",
             (sweep(template={"evaluate": True}, retention={"runs": 1}),),
             retained=1,
-            archived=2,
+            archived=3,
             evaluated=1,
         ),
         Scenario(
