@@ -11,14 +11,10 @@ import numpy as np
 
 from slamhive_eval.commands import measuring, output
 from slamhive_eval.errors import FileError
-from slamhive_eval.measures.explaining import Explained, explain
+from slamhive_eval.measures.explaining import Explained, explain, times
 
 if TYPE_CHECKING:
     import argparse
-
-    from slamhive_eval.trajectory import Trajectory
-
-_MOST_TIMES = 1000.0
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -60,24 +56,12 @@ def _write(path: Path, found: Explained) -> None:
         raise FileError(path, f"can't be written: {error.strerror or error}") from error
 
 
-def hints(reference: Trajectory, estimate: Trajectory) -> list[str]:
-    """Return a note for each fault of a pair."""
-    found = explain(reference, estimate)
-    return [f"fits {_times(one.better)} better if {one.message} ({one.flag})" for one in found.faults]
-
-
-def _times(better: float) -> str:
-    if better > _MOST_TIMES:
-        return f"over {_MOST_TIMES:.0f} times"
-    return f"{better:.1f} times"
-
-
 def _show(result: dict[str, Any]) -> str:
     lines = [f"{result['estimate']}: {_fit(result['before'])}"]
     for number, fault in enumerate(result["faults"], start=1):
         if math.isfinite(fault["better"]):
             lines.append(
-                f"{number}. fits {_times(fault['better'])} better if {fault['message']}: {fault['flag']}"
+                f"{number}. fits {times(fault['better'])} better if {fault['message']}: {fault['flag']}"
             )
         else:
             lines.append(f"{number}. fits only if {fault['message']}: {fault['flag']}")

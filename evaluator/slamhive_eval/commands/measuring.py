@@ -326,7 +326,7 @@ def _hints(reference: Trajectory, estimate: Trajectory, prepared: Prepared) -> l
     turned = reference.oriented and estimate.oriented and np.median(rotation.angle(between)) > _TURNED_RADIANS
     if np.sqrt(np.mean((found - truth) ** 2)) <= _FAR_OFF * spread and not turned:
         return []
-    from slamhive_eval.commands.explain import hints  # noqa: PLC0415 - few pairs fit so badly
+    from slamhive_eval.measures.explaining import hints  # noqa: PLC0415 - few pairs fit so badly
 
     return hints(reference, estimate)
 

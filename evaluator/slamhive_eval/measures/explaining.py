@@ -35,6 +35,7 @@ _LEAST_ELSEWHERE = 1.1
 _NO_WORSE = 0.9
 _MOST_POSES = 400
 _MOST_FAULTS = 4
+_MOST_TIMES = 1000.0
 _FEWEST = 10
 _EXACT = 1e-7
 """Errors below this share of the path, or in rad, are rounding."""
@@ -180,6 +181,17 @@ def explain(reference: Trajectory, estimate: Trajectory) -> Explained:
         found.append(best.fault)
         reading, fit = best.reading, best.fit
     return Explained(before, fit, tuple(found), reading.extrinsic)
+
+
+def hints(reference: Trajectory, estimate: Trajectory) -> list[str]:
+    """Return a note for each fault of a pair."""
+    found = explain(reference, estimate)
+    return [f"fits {times(one.better)} better if {one.message} ({one.flag})" for one in found.faults]
+
+
+def times(better: float) -> str:
+    """Return a gain in words."""
+    return f"over {_MOST_TIMES:.0f} times" if better > _MOST_TIMES else f"{better:.1f} times"
 
 
 @dataclass(frozen=True, eq=False)

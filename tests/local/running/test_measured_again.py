@@ -14,7 +14,7 @@ import pytest
 
 from slamhive.archive import Archive
 from slamhive.local.home.folder import Home
-from slamhive.local.running import evaluating
+from slamhive.local.running import measuring_apart
 from slamhive.local.running.evaluating import TrajectoryEvaluator
 from slamhive.local.running.evaluations import Unmeasured, bring_up_to_date, measure_record
 from slamhive.local.running.execution import RunDriver
@@ -144,7 +144,7 @@ def test_what_takes_too_much_to_measure_is_noted_and_not_tried_again(
             with tried.open("a") as file:
                 file.write("x")
             return bytes(1 << 30)
-        return evaluating._measured(question, truths)
+        return measuring_apart._measured(question, truths)
 
     monkeypatch.setattr(bench, "measuring", BoundedProcess(answer, 60, 256 << 20))
     why = "can't be measured here: it takes more than 256 MiB of memory"

@@ -3,28 +3,19 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slamhive.analysis.beside import with_others
 from slamhive.analysis.measuring import (
-    CPU_SECONDS,
-    SEGMENTS,
     SETTINGS_KEY,
-    measure,
-    read_estimate,
     settings_hash,
 )
 from slamhive.analysis.subjects import Surroundings, subject_of
-from slamhive.contract.files import compression_problem, open_below
 from slamhive.data.recordings.entries import file_sha256
 from slamhive.local.home.removed import run_parts
 from slamhive.model.errors import DataError, InputError, SystemFault
 from slamhive.model.sensors import SensorMode
-from slamhive.monitor.measuring.bounded import BoundedProcess, LimitError
-from slamhive.monitor.measuring.hierarchy import memory_limit
-from slamhive_eval import EvaluationError, read_segments
+from slamhive.monitor.measuring.bounded import LimitError
 
 if TYPE_CHECKING:
     from slamhive.data.making.preparation import Variant
@@ -33,37 +24,8 @@ if TYPE_CHECKING:
     from slamhive.model.results import Result, RunRecord
 
 
-_MEMORY_BYTES = 2 << 30
-"""Memory that measuring a run may take, where the machine has twice that."""
-
-
 class UnmeasurableError(InputError):
     """Measuring a run takes more than it may: so it would again."""
-
-
-def measuring_process() -> BoundedProcess:
-    """Return the process in which what algorithms wrote is read and measured, one run after another."""
-    return BoundedProcess(_measured, CPU_SECONDS, min(_MEMORY_BYTES, memory_limit() // 2))
-
-
-def _measured(question: tuple[Any, ...], truths: dict[str, Any]) -> Result | Exception:
-    path, dataset, settings, subject, name = question
-    # A system that lost track and began another map says so there: such maps have no common frame.
-    segments = path.with_name(SEGMENTS)
-    try:
-        _require_plain(path)
-        estimate = read_estimate(path)
-        pieces = None
-        if estimate is not None and segments.is_file():
-            _require_plain(segments)
-            pieces = read_segments(segments)
-        result = measure(truths[dataset], estimate, settings, subject, name, pieces=pieces)
-        beside = partial(open_below, path.parent)
-        return with_others(result, beside, truths[dataset], settings, subject, pieces=pieces)
-    except EvaluationError as error:
-        return InputError(str(error))
-    except (InputError, OSError) as error:
-        return error
 
 
 class TrajectoryEvaluator:
@@ -175,13 +137,3 @@ class TrajectoryEvaluator:
 def _fitting(twin: RunRecord, settings: EvaluationSettings) -> list[Result]:
     wanted = settings_hash(settings)
     return [result for result in twin.results if result.values.get(SETTINGS_KEY) == wanted]
-
-
-def _require_plain(path: Path) -> None:
-    try:
-        with path.open("rb") as file:
-            problem = compression_problem(file.fileno(), f"output/{path.name}")
-    except OSError as error:
-        raise InputError(f"output/{path.name}: can't be read: {error.strerror or error}") from None
-    if problem:
-        raise InputError(problem)

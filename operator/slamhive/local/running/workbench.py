@@ -18,7 +18,7 @@ from slamhive.local.programs.environments import digest_of
 from slamhive.local.programs.executors import Programs
 from slamhive.local.programs.unavailable import GivenUp
 from slamhive.local.programs.versions import Versions
-from slamhive.local.running.evaluating import measuring_process
+from slamhive.local.running.measuring_apart import measuring_process
 from slamhive.model.base import quantity
 from slamhive.model.errors import InputError
 from slamhive.model.results import Provenance
