@@ -56,6 +56,11 @@ def drive_fixture(
     return truth, estimate
 
 
+def notes(found: dict[str, Any]) -> list[str]:
+    """Return the notes but for the hint at the turned frame of the estimate."""
+    return [note for note in found["notes"] if "180° about z" not in note]
+
+
 def run(capsys: pytest.CaptureFixture[str], words: Sequence[str]) -> tuple[int, str, str]:
     code = main([*words])
     return code, *capsys.readouterr()
@@ -120,7 +125,7 @@ def test_as_many_lines_pair_without_a_note(
     (tmp_path / "EST").write_text(lines(drive[1], range(60), indexed=False))
     for more in ([], ["--by-index"]):
         found = json.loads(run(capsys, ["ape", "GT", "EST", *more, "--json"])[1])
-        assert (found["poses"], found["notes"]) == (60, [])
+        assert (found["poses"], notes(found)) == (60, [])
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -191,7 +196,7 @@ def test_times_of_another_number(
     assert f"times: has 60 stamps for the {count} poses of EST" in err
     found = json.loads(run(capsys, [*words, "--by-index", "--json"])[1])
     assert found["poses"] == min(count, 60)
-    assert len(found["notes"]) == 1
+    assert len(notes(found)) == 1
 
 
 @pytest.mark.parametrize(
@@ -252,7 +257,7 @@ def test_beyond_the_ground_truth_by_index(
     (tmp_path / "EST").write_text(lines(drive[1], range(10, 60), indexed=True))
     found = json.loads(run(capsys, ["ape", "GT", "EST", "--by-index", "--json"])[1])
     assert found["poses"] == 20
-    (note,) = found["notes"]
+    (note,) = notes(found)
     assert note.startswith(
         "EST has 50 poses up to frame 59 and the ground truth GT 25 poses up to frame 48: "
     )

@@ -11,6 +11,7 @@ import errno
 import fcntl
 import os
 import pickle
+import resource
 import signal
 import struct
 import traceback
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 HEAD = struct.Struct("!cQ")
 """Head of each block in the pipe: its kind, and its length."""
 
-BLOCK, END, REFUSED, MISTAKE, MEMORY = b"B", b"E", b"R", b"X", b"M"
+BEGUN, BLOCK, END, REFUSED, MISTAKE, MEMORY = b"S", b"B", b"E", b"R", b"X", b"M"
 _NICE = 5
 """Priority of workers: computing and sending by the dashboard itself come first."""
 
@@ -69,6 +70,7 @@ def _work(work: Callable[[], Iterable[bytes]], pipe: int, limits: tuple[int, int
             return
         os.nice(_NICE)
         limit(cpu_seconds, memory)
+        _send(pipe, BEGUN, str(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss).encode())
         for block in work():
             _send(pipe, BLOCK, block)
         _send(pipe, END, b"")

@@ -21,7 +21,7 @@ from contextlib import aclosing, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from slamhive.dashboard.answering.forking import BLOCK, END, MEMORY, MISTAKE, REFUSED, blocks, fork
+from slamhive.dashboard.answering.forking import BEGUN, BLOCK, END, MEMORY, MISTAKE, REFUSED, blocks, fork
 from slamhive.dashboard.problems import Busy, Problem, TooCostly, WorkerRefusal
 from slamhive.monitor.measuring.processes import read_file, stat_fields
 
@@ -35,7 +35,6 @@ _LOOK_SECONDS = 0.2
 _NICE = 10
 _GONE = -1
 _TICK = os.sysconf("SC_CLK_TCK")
-_PAGE = os.sysconf("SC_PAGE_SIZE")
 _ENDED_BY_OTHERS = {-signal.SIGKILL, -signal.SIGTERM, -signal.SIGINT}
 _HALVED_SECONDS = 10.0
 _KEPT_CLIENTS = 1000
@@ -107,10 +106,13 @@ class _AnswerProcess:
     budget: AnswerBudget
     began: float = field(default_factory=time.monotonic)
     reason: Problem | None = None
-    grown: int = 0
+    begun_with: int | None = None
+    most: int = 0
 
-    def __post_init__(self) -> None:
-        self.grown = -self.resident()
+    @property
+    def grown(self) -> int:
+        """Bytes it held at most, beyond those it began with; 0 where it ended before it could say."""
+        return 0 if self.begun_with is None else self.most - self.begun_with
 
     def end(self, reason: Problem | None = None) -> None:
         """Kill it; the first reason is told."""
@@ -132,12 +134,6 @@ class _AnswerProcess:
         except (OSError, ValueError):
             return 0.0
         return (int(fields[11]) + int(fields[12])) / _TICK
-
-    def resident(self) -> int:
-        """Return the memory it holds, most of which it shares at first, bytes."""
-        with suppress(OSError, ValueError):
-            return int(read_file(f"/proc/{self.pid}/statm").split()[1]) * _PAGE
-        return 0
 
 
 class AnswerWorkers:
@@ -314,6 +310,8 @@ class AnswerWorkers:
                 async for kind, part in parts:
                     if kind == BLOCK:
                         yield part
+                    elif kind == BEGUN:
+                        worker.begun_with = int(part) * 1024
                     elif kind == END:
                         ended = True
                     else:
@@ -333,7 +331,7 @@ class AnswerWorkers:
         worker.handle = _GONE  # the number is the next one's by now
         self._running.pop(worker).set_result(status)
         cost = AnswerCost(usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024)
-        worker.grown += cost.memory
+        worker.most = cost.memory
         self._add_use(worker.client, cost.cpu_seconds)
         if self.told is not None:
             self.told(cost)
