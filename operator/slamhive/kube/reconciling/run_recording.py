@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import AttemptState, RunObserved, RunState, decide_run
 from slamhive.kube.api.kinds import Key, Kind, key_of
-from slamhive.kube.observing import DISRUPTED
+from slamhive.kube.observing import DISRUPTED, TERMINATING
+from slamhive.kube.pods import condition as condition_of
 from slamhive.kube.reconciling.run_status import (
     RunFacts,
     attempt_fields,
@@ -178,6 +179,7 @@ def _scheduling(facts: RunFacts, state: RunState) -> list[dict[str, Any]]:
     waiting = attempted.waiting
     if waiting is not None and not state.phase.is_finished:
         return [condition("Scheduled", False, waiting.reason, waiting.message)]
-    if attempted.node is not None:
+    told = condition_of(facts.body, "Scheduled") or {}
+    if attempted.node is not None or (state.phase.is_finished and told.get("reason") == TERMINATING):
         return [condition("Scheduled", True, "Scheduled")]
     return []
