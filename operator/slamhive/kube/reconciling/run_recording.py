@@ -179,7 +179,7 @@ def _scheduling(facts: RunFacts, state: RunState) -> list[dict[str, Any]]:
     waiting = attempted.waiting
     if waiting is not None and not state.phase.is_finished:
         return [condition("Scheduled", False, waiting.reason, waiting.message)]
-    told = condition_of(facts.body, "Scheduled") or {}
-    if attempted.node is not None or (state.phase.is_finished and told.get("reason") == TERMINATING):
+    before = condition_of(facts.body, "Scheduled") or {}
+    if attempted.node is not None or (state.phase.is_finished and before.get("reason") == TERMINATING):
         return [condition("Scheduled", True, "Scheduled")]
     return []
