@@ -144,6 +144,11 @@ class Cluster:
                         self._take(Kind.POD, pod)
                 self._podless.pop(uid, None)
 
+    async def pods_of(self, job: Object | None) -> list[Object]:
+        """Return the pods of a Job as they are now: it may have ended since the reconciling began."""
+        await self.find_pods()
+        return self.store.pods_of(job)
+
     @contextmanager
     def acting_for(self, key: Key) -> Iterator[None]:
         """Note whose reconciler does what follows: its own writes don't queue it again."""

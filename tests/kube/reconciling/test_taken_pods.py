@@ -67,7 +67,7 @@ async def test_a_run_that_ended_while_nobody_looked_has_succeeded_whoever_took_i
     else:
         reason = "SystemFault" if "job" in gone else "NodeLost"
         assert (status["phase"], status["reason"]) == ("Failed", reason)
-        assert "the monitor left no report: its pod is gone" in status["message"]
+        assert "no such folder" in status["message"]
 
 
 async def test_a_run_that_is_broken_off_is_no_result_whatever_its_exit_code(

@@ -86,7 +86,7 @@ class Evaluations:
         for job in cluster.store.jobs_of(group.owner["uid"], Role.EVALUATE):
             if is_deleted(job):
                 continue
-            seen = observe_job(job, cluster.store.pods_of(job))
+            seen = observe_job(job, await cluster.pods_of(job))
             if seen.state is AttemptState.ENDED:
                 await take_results(cluster, group, job, seen)
                 continue

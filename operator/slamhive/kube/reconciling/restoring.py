@@ -91,7 +91,7 @@ async def _take_in(
     cluster: Cluster, group: EvaluationGroup, job: Object, found: Restored
 ) -> dict[str, str] | None:
     """Return the folders that a Job left away, with reasons; None while it runs."""
-    memory, seen = group.memory, observe_job(job, cluster.store.pods_of(job))
+    memory, seen = group.memory, observe_job(job, await cluster.pods_of(job))
     problem = seen.problem[1] if seen.problem else None
     if seen.state is not AttemptState.ENDED:
         waits = await patience(cluster, job, seen.waiting)

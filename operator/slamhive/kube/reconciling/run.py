@@ -246,7 +246,7 @@ class RunReconciler:
                 job = await cluster.create(Kind.JOB, body)
             except AlreadyExists:
                 job = await cluster.refresh(key)
-        seen = observe_job(job, cluster.store.pods_of(job))
+        seen = observe_job(job, await cluster.pods_of(job))
         if seen.is_lost:
             await cluster.delete(key)  # that leads back here, and to another
         if seen.is_lost or seen.state is not AttemptState.ENDED:
