@@ -31,6 +31,8 @@ _NEARLY_ALL = 0.9
 _FAR_OFF = 0.1
 """Errors by the spread of the ground truth, and the usual turn, from which on it is looked for why."""
 _TURNED_RADIANS = 0.1
+_LOOKED_AT = 1000
+"""Poses that tell whether a pair fits badly: nearly all fit well, and each is asked."""
 
 
 def add_pair(parser: argparse.ArgumentParser) -> None:
@@ -310,7 +312,7 @@ def _pairing(reference: Trajectory, estimate: Trajectory, prepared: Prepared, ho
             f"{paired} of {there} poses have a partner within {limit:g} s: the figures are theirs alone; "
             "--match interpolate compares all, --max-diff allows more"
         )
-    different = len(np.unique(prepared.reference.stamps))
+    different = 1 + int(np.count_nonzero(np.diff(prepared.reference.stamps)))
     if different < _NEARLY_ALL * paired:
         notes.append(f"{paired} poses were paired with {different} of the ground truth: several share one")
     return notes
@@ -318,10 +320,11 @@ def _pairing(reference: Trajectory, estimate: Trajectory, prepared: Prepared, ho
 
 def _hints(reference: Trajectory, estimate: Trajectory, prepared: Prepared) -> list[str]:
     """Return notes on what would make a pair fit better, where it fits badly."""
-    truth, found = prepared.reference.positions, prepared.estimate.positions
+    some = slice(None, None, max(1, len(prepared.reference) // _LOOKED_AT))
+    truth, found = prepared.reference.positions[some], prepared.estimate.positions[some]
     spread = np.sqrt(np.mean((truth - truth.mean(axis=0)) ** 2))
     between = rotation.multiply(
-        rotation.conjugate(prepared.reference.quaternions), prepared.estimate.quaternions
+        rotation.conjugate(prepared.reference.quaternions[some]), prepared.estimate.quaternions[some]
     )
     turned = reference.oriented and estimate.oriented and np.median(rotation.angle(between)) > _TURNED_RADIANS
     if np.sqrt(np.mean((found - truth) ** 2)) <= _FAR_OFF * spread and not turned:

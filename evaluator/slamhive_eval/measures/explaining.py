@@ -26,7 +26,8 @@ from slamhive_eval.trajectory import Trajectory
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from slamhive_eval.rotation import FloatArray
+    from slamhive_eval.alignment import Method
+    from slamhive_eval.rotation import FloatArray, IndexArray
 
 LEAST_GAIN = 1.3
 """So many times must positions or rotations fit better for a fault to be named."""
@@ -159,6 +160,11 @@ class _Reading:
     extrinsic: FloatArray = field(default_factory=lambda: np.eye(4))
     scaled: bool = False
 
+    @property
+    def alignment(self) -> Method:
+        """Alignment that leaves no more than the faults that are left."""
+        return "sim3" if self.scaled else "se3"
+
 
 def explain(reference: Trajectory, estimate: Trajectory) -> Explained:
     """Find what undone makes a pair fit better.
@@ -222,13 +228,12 @@ class _Pair:
             return None
         truth, found = matched
         try:
-            laid = align(truth, found, "sim3" if reading.scaled else "se3").apply(found)
+            laid = align(truth, found, reading.alignment).apply(found)
         except EvaluationError:
             return None
         left = laid.positions - truth.positions
-        later = np.searchsorted(truth.stamps, truth.stamps + _STEP_SECONDS)
-        first = np.flatnonzero(later < len(truth))
-        step = left[later[first]] - left[first] if len(first) else left
+        first, later = _steps(truth)
+        step = left[later] - left[first] if len(first) else left
         spread = _rms(truth.positions - truth.positions.mean(axis=0))
         missed, turned = max(_rms(left), self._floor), None
         if self._oriented:
@@ -348,7 +353,7 @@ class _Pair:
         if matched is None:
             return None
         truth, found = matched
-        laid = align(truth, found, "sim3" if reading.scaled else "se3").apply(found)
+        laid = align(truth, found, reading.alignment).apply(found)
         between = rotation.multiply(rotation.conjugate(truth.quaternions), laid.quaternions)
         _, vectors = np.linalg.eigh(between.T @ between)
         change = np.eye(4)
@@ -362,9 +367,7 @@ class _Pair:
             return None
         truth, found = matched
         matrices = rotation.to_matrix(truth.quaternions)
-        later = np.searchsorted(truth.stamps, truth.stamps + _STEP_SECONDS)
-        first = np.flatnonzero(later < len(truth))
-        later = later[first]
+        first, later = _steps(truth)
         if len(first) < _FEWEST:
             return None
         inverse = np.linalg.pinv((matrices[later] - matrices[first]).reshape(-1, 3), rcond=_LEAST_TURNING)
@@ -372,7 +375,7 @@ class _Pair:
         for _ in range(_ROUNDS):
             moved = truth.positions + matrices @ arm
             beside = Trajectory(truth.stamps, moved, truth.quaternions)
-            laid = align(beside, found, "sim3" if reading.scaled else "se3").apply(found).positions
+            laid = align(beside, found, reading.alignment).apply(found).positions
             left = laid - truth.positions
             change = inverse @ (left[later] - left[first]).reshape(-1) - arm
             arm = arm + change
@@ -395,6 +398,13 @@ class _Pair:
         scale = align(*matched, "sim3").scale if matched else 1.0
         message = f"its lengths are multiplied by {scale:.4g}"
         return Fault("scale", gain, message, "--align sim3", scale)
+
+
+def _steps(truth: Trajectory) -> tuple[IndexArray, IndexArray]:
+    """Return the poses that have one a second later, and those: indices, shape (n,) each."""
+    later = np.searchsorted(truth.stamps, truth.stamps + _STEP_SECONDS)
+    first = np.flatnonzero(later < len(truth))
+    return first, later[first]
 
 
 def _rms(vectors: FloatArray) -> float:
