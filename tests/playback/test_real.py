@@ -89,4 +89,4 @@ def test_orb_slam(ros: None, home: Home, notes: object) -> None:
     assert len(trajectory(played)) > 20
     assert len(trajectory(played, "trajectory.online.txt")) > 20
     # Where frames were dropped, tracking may have been lost and begun anew just before the end.
-    assert played.metrics["keyframes"] >= 1
+    assert played.metrics["keyframes"] > (0 if played.frames.dropped else 1)
