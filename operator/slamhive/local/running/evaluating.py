@@ -6,10 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slamhive.analysis.measuring import (
-    SETTINGS_KEY,
-    settings_hash,
-)
+from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
 from slamhive.analysis.subjects import Surroundings, subject_of
 from slamhive.data.recordings.entries import file_sha256
 from slamhive.local.home.removed import run_parts
