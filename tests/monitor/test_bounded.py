@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
@@ -130,6 +131,30 @@ def test_it_works_on_the_processors_of_who_asks(process: BoundedProcess) -> None
         thread.start()
         thread.join()
     assert found == [{processor} for processor in everywhere]
+
+
+def test_one_that_nobody_has_any_more_ends_whatever_garbage_is_collected_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    faults: list[Any] = []
+    monkeypatch.setattr(sys, "unraisablehook", faults.append)
+
+    def forsaken() -> int:
+        process: Any = BoundedProcess(answer, 0, None)
+        process.ask("given")
+        pid, pipe, process.cycle = process._pid, process._pipe, [process]
+        cycle = process.cycle
+        del process
+        gc.collect()  # puts the pipe, which is in use here, before the process that has it
+        found = [type(one) for one in gc.get_objects() if one is pipe or one is cycle[0]]
+        assert found == [type(pipe), BoundedProcess]
+        return int(pid)
+
+    pid = forsaken()
+    gc.collect()
+    assert faults == []
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
 
 
 def test_it_ends_with_its_owner_at_work_or_not() -> None:

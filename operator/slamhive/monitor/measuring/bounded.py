@@ -18,6 +18,7 @@ import threading
 import time
 import traceback
 import warnings
+import weakref
 from contextlib import suppress
 from functools import cached_property, lru_cache
 from multiprocessing.connection import Connection, Pipe
@@ -65,6 +66,7 @@ class BoundedProcess:
         self._pipe: Connection | None = None
         self._pid = self._life = self._owner = 0
         self._given: dict[str, Any] = {}
+        self._forsaken: weakref.finalize[Any, Any] | None = None
 
     def ask(self, question: Any, **given: Any) -> Any:
         """Return the answer to a question.
@@ -107,8 +109,6 @@ class BoundedProcess:
             if self._pipe is not None:
                 self._ended()
 
-    __del__ = close
-
     def _begin(self) -> Connection:
         pipe, its = Pipe()
         ended, self._life = os.pipe2(os.O_CLOEXEC)
@@ -118,6 +118,8 @@ class BoundedProcess:
             its.close()
             os.close(ended)
         self._pipe, self._given, self._owner = pipe, {}, os.getpid()
+        # A finalizer of ours could come after that of the pipe, whose descriptor is another's by then.
+        self._forsaken = weakref.finalize(self, _forsake, pipe, self._life, self._pid, self._owner)
         return pipe
 
     def _received(self, pipe: Connection) -> Any:
@@ -132,6 +134,8 @@ class BoundedProcess:
 
     def _ended(self) -> LimitError:
         """Let go of a process that ends, and return why it does."""
+        if self._forsaken is not None:
+            self._forsaken.detach()
         if self._pipe is not None:
             self._pipe.close()
         self._pipe = None
@@ -165,6 +169,17 @@ class BoundedProcess:
                 pipe.send((None, self._memory or 0))
             except Exception:  # noqa: BLE001 - told to who asked
                 pipe.send((False, traceback.format_exc()))
+
+
+def _forsake(pipe: Connection, life: int, pid: int, owner: int) -> None:
+    """End the process of an object that nobody has any more."""
+    if owner != os.getpid():
+        return
+    with suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGKILL)
+    pipe.close()
+    os.close(life)
+    os.waitpid(pid, 0)
 
 
 def limit(cpu_seconds: int, memory: int | None = None) -> None:
