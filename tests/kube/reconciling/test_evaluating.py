@@ -15,6 +15,7 @@ from slamhive.jobs.lines import encode_all
 from slamhive.kube.api.client import Api
 from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.reconciling.evaluation_status import problems_noted
+from slamhive.kube.reconciling.result_taking import runs_of
 
 if TYPE_CHECKING:
     from testcluster.lab import Lab
@@ -96,8 +97,10 @@ async def test_what_cannot_be_measured_is_not_tried_again_by_the_next_operator(
         lab.apply(run("one", evaluate=True), drift)
         await status_of(op, Kind.MAPPING_RUN, "one", told)
         await status_of(op, Kind.EVALUATION, "drift", lambda status: status.get("failed") == 1)
-        # The condition comes first: an operator that ends before its note leaves the run to be tried again.
+        # The condition comes first, then the note, then the Job goes: an operator that ends before the last
+        # leaves the run to be tried, or its log to be read, again.
         await until(lambda: {"", "drift"} <= _groups_noted(op, lab, "one"), "both to be noted")
+        await until(lambda: not _evaluators_of(op, lab), "their Jobs to go")
     tried = len(evaluators.measured)
     assert tried == (6 if silent else 2)
     async with operating() as op:
@@ -129,6 +132,10 @@ async def test_another_measurement_is_tried(lab: Lab, operating: Any, evaluators
 def _groups_noted(op: Operator, lab: Lab, name: str) -> set[str]:
     found = op.cluster.store.get(Key(Kind.MAPPING_RUN, lab.namespace, name))
     return set(problems_noted(found)) if found else set()
+
+
+def _evaluators_of(op: Operator, lab: Lab) -> list[dict[str, Any]]:
+    return [job for job in op.cluster.store.of(Kind.JOB, lab.namespace) if runs_of(job)]
 
 
 def _given_up(op: Operator, lab: Lab, count: int) -> list[dict[str, Any]]:
