@@ -487,10 +487,27 @@ def _print_report(report: DatasetReport) -> None:
         out.print(
             f"other topics, for algorithms that ask for them (modes[].topics): {escape(listed)}", style="dim"
         )
+    _print_findings(report)
+
+
+def _print_findings(report: DatasetReport) -> None:
+    """Print what is noted, then what may be wrong, then what is, each with its code and its repair."""
+    known = {finding.message: finding for finding in report.findings}
+
+    def text(message: str) -> str:
+        finding = known.get(message)
+        if finding is None:
+            return message
+        repair = f"\n  put into the spec: {finding.repair_line}" if finding.repair else ""
+        return f"{message} ({finding.code}){repair}"
+
+    for finding in report.findings:
+        if finding.severity == "note":
+            out.print(f"note: {escape(text(finding.message))}", style="dim")
     for warning in report.warnings:
-        out.print(f"[yellow]warning:[/] {escape(warning)}")
+        out.print(f"[yellow]warning:[/] {escape(text(warning))}")
     for error in report.errors:
-        complain(error)
+        complain(text(error))
 
 
 def _sensor_cells(sensor: SensorReport) -> Iterator[str]:

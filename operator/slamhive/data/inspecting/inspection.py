@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.data.doctor.examining import examine
+from slamhive.data.doctor.findings import Severity
 from slamhive.data.recordings.checks import check_content, check_stamps, content_findings
 from slamhive.data.recordings.entries import DatasetEntry, check_sums
 from slamhive.data.recordings.posetopics import check_pose_topic, truth_topic
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
+    from slamhive.data.doctor.findings import Finding
     from slamhive.data.recordings.reading import Recording, Scan
     from slamhive.model.dataset import Dataset, DatasetSpec
     from slamhive.model.sensors import Sensor
@@ -131,6 +134,7 @@ class DatasetReport:
         other_types: Type and number of their messages, by topic.
         errors: What keeps the dataset from being used, a sentence each.
         warnings: What may be wrong, a sentence each.
+        findings: All that has a code, errors and warnings among them, the gravest first.
     """
 
     name: str
@@ -143,6 +147,7 @@ class DatasetReport:
     other_types: dict[str, str]
     errors: list[str]
     warnings: list[str]
+    findings: list[Finding] = field(default_factory=list)
 
     @property
     def is_usable(self) -> bool:
@@ -151,7 +156,7 @@ class DatasetReport:
 
     def as_json(self) -> dict[str, Any]:
         """Return the report as plain values."""
-        return asdict(self)
+        return asdict(self) | {"findings": [finding.as_json() for finding in self.findings]}
 
 
 def inspect(
@@ -166,10 +171,15 @@ def inspect(
     """
     errors: list[str] = []
     warnings: list[str] = []
+    findings: list[Finding] = []
     spec = entry.dataset.spec
     try:
         with open_recording(entry.dataset, entry.root) as recording:
-            sensors = _sensors(entry, recording, errors, warnings, progress)
+            sound = sound_sensors(recording, spec.sensors, errors)
+            contents = content_findings(recording, sound, errors, warnings)
+            watched, findings = examine(entry, recording, sound, _poses(entry, cache), progress)
+            warnings += watched.broken
+            sensors = _sensors(spec, recording, watched.scans, contents, errors, warnings)
             used = {sensor.topic for sensor in spec.sensors.values()} | {STATIC_TRANSFORMS}
             used |= {camera_info_topic(recording, sensor.topic) or "" for sensor in spec.sensors.values()}
             used.add((spec.ground_truth and truth_topic(spec.ground_truth.topic)) or "")
@@ -197,6 +207,9 @@ def inspect(
         warnings.append(f"recording.durationSeconds: states {stated:g} s, the messages last {length:.3f} s")
     if spec.ground_truth is None:
         warnings.append("groundTruth: none, so runs on this dataset can't be evaluated")
+    findings.sort(key=lambda finding: [*Severity].index(finding.severity))
+    errors += [finding.message for finding in findings if finding.severity is Severity.ERROR]
+    warnings += [finding.message for finding in findings if finding.severity is Severity.WARNING]
     return DatasetReport(
         name=entry.name,
         format=spec.recording.format,
@@ -208,6 +221,7 @@ def inspect(
         other_types=others,
         errors=errors,
         warnings=warnings,
+        findings=findings,
     )
 
 
@@ -261,19 +275,17 @@ def _rough_span(recording: Recording, sensors: Mapping[str, Sensor]) -> tuple[fl
     return (min(begins), max(begins) + recording.seconds) if begins else None
 
 
-def _sensors(
-    entry: DatasetEntry,
+def _sensors(  # noqa: PLR0917 - what is known, then what is added to
+    spec: DatasetSpec,
     recording: Recording,
+    scans: Mapping[str, Scan],
+    contents: Mapping[str, str],
     errors: list[str],
     warnings: list[str],
-    progress: Callable[[float], None] | None,
 ) -> list[SensorReport]:
-    sound = sound_sensors(recording, entry.dataset.spec.sensors, errors)
-    contents = content_findings(recording, sound, errors, warnings)
-    scans = recording.scan({sensor.topic for sensor in sound.values()}, progress)
     reports = []
-    for name, sensor in entry.dataset.spec.sensors.items():
-        if name not in sound:
+    for name, sensor in spec.sensors.items():
+        if sensor.topic not in scans:
             reports.append(SensorReport(name, sensor.type, sensor.topic))
             continue
         scan = scans[sensor.topic]
@@ -285,6 +297,15 @@ def _sensors(
         reports.append(report)
         warnings += _suspicions(report, sensor)
     return reports
+
+
+def _poses(entry: DatasetEntry, cache: Path | None) -> Trajectory | None:
+    """Return the ground truth where it has poses and can be read; `_truth` says why it can't be."""
+    try:
+        found = ground_truth(entry, cache)
+    except DataError:
+        return None
+    return found.poses if found is not None and isinstance(found.poses, Trajectory) else None
 
 
 def _report(recording: Recording, name: str, sensor: Sensor, scan: Scan, content: str) -> SensorReport:

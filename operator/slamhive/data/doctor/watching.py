@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Watching of a recording: all its messages pass once, and each watcher gathers what it judges by.
+
+A watcher is of one sensor. What is judged between sensors, such as clocks, is judged when all have passed,
+from what their watchers gathered.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slamhive.data.recordings.reading import Scan
+from slamhive.model.errors import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from slamhive.data.doctor.findings import Finding
+    from slamhive.data.recordings.reading import Recording
+    from slamhive.model.dataset import DatasetSpec
+    from slamhive.model.sensors import Sensor
+
+
+class PassingMessage:
+    """A message that passes; it is decoded once, for all who ask.
+
+    Attributes:
+        index: Its number among the messages of its topic, from 0.
+        time: Record time, ns.
+        stamp: Header stamp, ns; the record time where there is no header.
+        raw: Its bytes.
+    """
+
+    __slots__ = ("_decode", "_decoded", "index", "raw", "stamp", "time")
+
+    def __init__(self, index: int, time: int, stamp: int, raw: bytes, decode: Callable[[bytes], Any]) -> None:
+        self.index, self.time, self.stamp, self.raw = index, time, stamp, raw
+        self._decode = decode
+        self._decoded: Any = None
+
+    @property
+    def decoded(self) -> Any:
+        """Return the message.
+
+        Raises:
+            DataError: The bytes are no such message.
+        """
+        if self._decoded is None:
+            self._decoded = self._decode(self.raw)
+        return self._decoded
+
+
+@dataclass(frozen=True)
+class WatchedSensor:
+    """A sensor of a dataset whose messages are watched.
+
+    Attributes:
+        name: Its name.
+        sensor: The sensor as declared.
+        message_type: Type of its messages.
+        messages: Their number, as the index states it.
+        spec: The dataset's spec, for what a judgement needs of other sensors.
+    """
+
+    name: str
+    sensor: Sensor
+    message_type: str
+    messages: int
+    spec: DatasetSpec
+
+    @property
+    def where(self) -> str:
+        """Return the sensor's field, for sentences."""
+        return f"sensors.{self.name}"
+
+    def seconds(self, stamp: int) -> float:
+        """Return the sensor time of a header stamp (ns), s."""
+        return stamp / 1e9 + self.sensor.time_offset
+
+
+class Watcher:
+    """Gatherer over the messages of one sensor; a subclass says what it takes and what it finds."""
+
+    def __init__(self, of: WatchedSensor) -> None:
+        self.of = of
+
+    def take(self, message: PassingMessage) -> None:
+        """Take in a message.
+
+        Raises:
+            DataError: It is damaged: the sensor's other messages go on without this watcher.
+        """
+        raise NotImplementedError
+
+    def findings(self) -> Iterable[Finding]:
+        """Yield what the messages came to, once all have passed."""
+        return ()
+
+
+@dataclass(frozen=True)
+class Watched:
+    """Result of watching: times by topic, watchers by sensor, and what ended one early.
+
+    Attributes:
+        scans: Times of the messages by topic.
+        watchers: By sensor, in the order of the dataset.
+        broken: A sentence for each watcher that a message ended.
+    """
+
+    scans: Mapping[str, Scan]
+    watchers: Mapping[str, Sequence[Watcher]]
+    broken: list[str] = field(default_factory=list)
+
+
+def watch(
+    recording: Recording,
+    watchers: Mapping[str, Sequence[Watcher]],
+    topics: Mapping[str, str],
+    progress: Callable[[float], None] | None = None,
+) -> Watched:
+    """Read all messages of sensors once, and hand each to the watchers of its sensors.
+
+    Args:
+        recording: The recording.
+        watchers: By sensor.
+        topics: The topic of each sensor.
+        progress: Called with the share of the messages that are read, 0 to 1, now and then.
+
+    Raises:
+        DataError: The recording is damaged.
+    """
+    names = sorted(set(topics.values()))
+    by_topic = {topic: [name for name in topics if topics[name] == topic] for topic in names}
+    living = {topic: [one for name in by_topic[topic] for one in watchers.get(name, ())] for topic in names}
+    readers = {topic: recording.stamp_reader(recording.topics[topic].message_type) for topic in names}
+    times: dict[str, list[int]] = {topic: [] for topic in names}
+    stamps: dict[str, list[int]] = {topic: [] for topic in names}
+    sizes = dict.fromkeys(names, 0)
+    broken: list[str] = []
+    total = max(1, sum(recording.topics[topic].count for topic in names))
+    for number, (connection, time, raw) in enumerate(recording.messages(names)):
+        topic = connection.topic
+        reader = readers[topic]
+        try:
+            stamp = time if reader is None else reader(raw)
+        except struct.error:
+            raise DataError(
+                f"{recording.label}: {topic}: message {len(times[topic]) + 1} is cut off after "
+                f"{len(raw)} bytes"
+            ) from None
+        message = PassingMessage(
+            len(times[topic]), time, stamp, raw, partial(recording.decode, message_type=connection.msgtype)
+        )
+        times[topic].append(time)
+        stamps[topic].append(stamp)
+        sizes[topic] += len(raw)
+        for watcher in living[topic][:]:
+            try:
+                watcher.take(message)
+            except DataError as error:
+                living[topic].remove(watcher)
+                broken.append(f"{watcher.of.where}: message {message.index + 1}: {error}")
+        if progress and number % 64 == 0:
+            progress(min(1.0, number / total))
+    scans = {
+        topic: Scan(np.array(times[topic]), np.array(stamps[topic]), readers[topic] is not None, sizes[topic])
+        for topic in names
+    }
+    return Watched(scans, watchers, broken)
