@@ -18,7 +18,7 @@ pytest = $(BIN)/python -m pytest -n $(WORKERS) $(1) $(TESTS)
 unexport PYTHONDONTWRITEBYTECODE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test test-cluster test-all test-packages pins cluster-build cluster-up cluster-down images dist docs lint bench bench-scale fuzz fuzz-api fuzz-cluster coverage honest audit install demo-environment crds clean help
+.PHONY: demo test test-cluster test-all test-packages pins cluster-build cluster-up cluster-down images dist docs lint bench bench-scale fuzz fuzz-api fuzz-cluster coverage honest doctor audit install demo-environment crds clean help
 
 help:
 	@echo 'make demo    compare real algorithms on a generated recording'
@@ -37,6 +37,7 @@ help:
 	@echo 'make fuzz-cluster   the operator killed, and sweeps deleted, at each single side effect; all behaviours in containers'
 	@echo 'make coverage   which modules make test covers by less than 80 %, lines and branches'
 	@echo 'make honest  every view of results beside their definition, over 5,000 made-up archives'
+	@echo 'make doctor  clean recordings that must be left alone, and faults of known size that must be found'
 	@echo 'make bench   speed and memory, beside the limits'
 	@echo 'make bench-scale   one Sweep of 80,000 played runs (hours); ARGS=2000 for fewer'
 
@@ -131,6 +132,9 @@ coverage: install
 
 honest: install
 	$(BIN)/python tests/honest/check.py --archives 5000
+
+doctor: install
+	$(BIN)/python tests/doctor/check.py
 
 # Versions and hashes of all Python packages: make pins writes them anew, NEWEST=1 takes newer versions.
 pins: install
