@@ -21,10 +21,10 @@ from slamhive.figures.widths import WIDTHS, parse_height, parse_width
 from slamhive.local.home.folder import Home
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError
-from slamhive.model.uncollected import uncollected
 from slamhive.reporting.papertables import Statistic
 from slamhive.tables.homes import homes_beside
 from slamhive.tables.reading import revision
+from slamhive.tables.uncollected import uncollected
 
 
 class Hold(Choice):

@@ -20,7 +20,7 @@ from slamhive import __version__
 from slamhive.cli.parts.exits import FAILED, INTERRUPTED, WRONG_INPUT
 from slamhive.model.errors import InputError, SlamHiveError, sentence
 from slamhive.model.leftout import LeftOutWarning
-from slamhive.model.uncollected import uncollected
+from slamhive.tables.uncollected import uncollected
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -27,7 +27,6 @@ from slamhive.contract.lines import printable
 from slamhive.data.files.outputs import output_whole
 from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError, UnknownNameError
-from slamhive.model.uncollected import uncollected
 from slamhive.tables.homes import COLUMN, homes_beside, read_homes
 from slamhive.tables.queries import split_names
 from slamhive.tables.reading import read_archive
@@ -40,6 +39,7 @@ from slamhive.tables.text import (
     table_lines,
     value_text,
 )
+from slamhive.tables.uncollected import uncollected
 from slamhive_eval.formats.csv_writing import csv_blocks, write_csv
 
 if TYPE_CHECKING:

@@ -41,8 +41,8 @@ from slamhive.archive.documents import UNREADABLE, raw
 from slamhive.archive.rows import read_rows, read_runs, why
 from slamhive.model.errors import InputError
 from slamhive.model.results import Outcome, Phase
-from slamhive.model.uncollected import uncollected
 from slamhive.tables.snapshots import Loaded, derived
+from slamhive.tables.uncollected import uncollected
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
