@@ -104,7 +104,7 @@ def cut_and_turned(clean: DatasetEntry, folder: Path, chance: Random) -> Dataset
 
 
 @dataclass(frozen=True)
-class Fault:
+class MadeUpFault:
     """A fault of a known size.
 
     Attributes:
@@ -120,10 +120,10 @@ class Fault:
     change: Change
 
 
-def faults(clean: DatasetEntry, chance: Random) -> list[Fault]:
+def faults(clean: DatasetEntry, chance: Random) -> list[MadeUpFault]:
     """Return the faults that the sensors of a recording can have, of sizes by chance."""
     sensors = clean.dataset.spec.sensors
-    found: list[Fault] = []
+    found: list[MadeUpFault] = []
     by_topic = {sensor.topic: name for name, sensor in sensors.items()}
 
     def on(name: str, change: Callable[[Any], Any]) -> Change:
@@ -136,15 +136,17 @@ def faults(clean: DatasetEntry, chance: Random) -> list[Fault]:
 
     if "imu" in sensors:
         found += [
-            Fault("imu.units", "imu", None, on("imu", partial(scaled, of=of, factor=factor)))
+            MadeUpFault("imu.units", "imu", None, on("imu", partial(scaled, of=of, factor=factor)))
             for of, factor in (("linear_acceleration", 1 / 9.80665), ("angular_velocity", 180 / np.pi))
         ]
         for name in set(sensors) & {"lidar", "left", "imu"}:
             offset = chance.uniform(0.03, 0.2) * chance.choice((-1, 1))
-            found.append(Fault("clock.offset", name, offset, on(name, partial(shifted, seconds=offset))))
+            found.append(
+                MadeUpFault("clock.offset", name, offset, on(name, partial(shifted, seconds=offset)))
+            )
     for name in set(sensors) & {"lidar", "scan"}:
         whole = chance.choice((37.0, 18.0, 7200.0))
-        found.append(Fault("clock.epoch", name, whole, on(name, partial(shifted, seconds=whole))))
+        found.append(MadeUpFault("clock.epoch", name, whole, on(name, partial(shifted, seconds=whole))))
     return found
 
 
@@ -183,7 +185,7 @@ class Tally:
         self.severities.update({str(one.severity) for one in found})
         self.codes.update(f"{one.severity} {one.code}" for one in found)
 
-    def take_faulty(self, entry: DatasetEntry, fault: Fault, what: str) -> None:
+    def take_faulty(self, entry: DatasetEntry, fault: MadeUpFault, what: str) -> None:
         """Look at a recording that has one fault."""
         fitting = [one for one in self.look(entry, what) if one.code == fault.code]
         if not fitting:

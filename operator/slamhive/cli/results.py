@@ -23,6 +23,7 @@ from slamhive.cli.parts.choosing import Also, EvaluationName, Output, Superseded
 from slamhive.cli.parts.console import listing, out, plural, remark
 from slamhive.cli.parts.tables import PrintFormat, show, write_json, write_markdown
 from slamhive.cli.parts.waiting import Work
+from slamhive.cli.suspecting import show_suspects
 from slamhive.contract.lines import printable
 from slamhive.data.files.outputs import output_whole
 from slamhive.local.home.folder import Home
@@ -310,6 +311,7 @@ def _hand_over(to: BridgeTarget, output: Path | None, selection: Selection, unus
         out.print(f"Next:  {next_step(to, output)}", soft_wrap=True, markup=False)
 
 
+app.command("suspects")(show_suspects)
 app.command("prune")(prune)
 
 

@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from slamhive.data.doctor.findings import Finding
-    from slamhive.data.doctor.watching import Watched, Watcher
+    from slamhive.data.doctor.watching import MessageWatcher, WatchedRecording
     from slamhive.data.recordings.entries import DatasetEntry
     from slamhive.data.recordings.reading import Recording
     from slamhive.model.sensors import Sensor, SensorType
     from slamhive_eval import Trajectory
 
-WATCHERS: Mapping[SensorType, tuple[Callable[[WatchedSensor], Watcher], ...]] = {}
+WATCHERS: Mapping[SensorType, tuple[Callable[[WatchedSensor], MessageWatcher], ...]] = {}
 """Watchers by the kind of sensor whose messages they take."""
 
 
@@ -35,7 +35,7 @@ class Examined:
 
     entry: DatasetEntry
     recording: Recording
-    watched: Watched
+    watched: WatchedRecording
     truth: Trajectory | None
 
 
@@ -49,7 +49,7 @@ def examine(
     sensors: Mapping[str, Sensor],
     truth: Trajectory | None,
     progress: Callable[[float], None] | None = None,
-) -> tuple[Watched, list[Finding]]:
+) -> tuple[WatchedRecording, list[Finding]]:
     """Read all messages of a dataset's sensors and return their times and what was found.
 
     Args:

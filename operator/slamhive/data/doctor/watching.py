@@ -83,7 +83,7 @@ class WatchedSensor:
         return stamp / 1e9 + self.sensor.time_offset
 
 
-class Watcher:
+class MessageWatcher:
     """Gatherer over the messages of one sensor; a subclass says what it takes and what it finds."""
 
     def __init__(self, of: WatchedSensor) -> None:
@@ -98,12 +98,12 @@ class Watcher:
         raise NotImplementedError
 
     def findings(self) -> Iterable[Finding]:
-        """Yield what the messages came to, once all have passed."""
+        """Yield the findings of the messages, once all have passed."""
         return ()
 
 
 @dataclass(frozen=True)
-class Watched:
+class WatchedRecording:
     """Result of watching: times by topic, watchers by sensor, and what ended one early.
 
     Attributes:
@@ -113,16 +113,16 @@ class Watched:
     """
 
     scans: Mapping[str, Scan]
-    watchers: Mapping[str, Sequence[Watcher]]
+    watchers: Mapping[str, Sequence[MessageWatcher]]
     broken: list[str] = field(default_factory=list)
 
 
 def watch(
     recording: Recording,
-    watchers: Mapping[str, Sequence[Watcher]],
+    watchers: Mapping[str, Sequence[MessageWatcher]],
     topics: Mapping[str, str],
     progress: Callable[[float], None] | None = None,
-) -> Watched:
+) -> WatchedRecording:
     """Read all messages of sensors once, and hand each to the watchers of its sensors.
 
     Args:
@@ -171,4 +171,4 @@ def watch(
         topic: Scan(np.array(times[topic]), np.array(stamps[topic]), readers[topic] is not None, sizes[topic])
         for topic in names
     }
-    return Watched(scans, watchers, broken)
+    return WatchedRecording(scans, watchers, broken)

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``slamhive results suspects``: where systems agree with each other and not with the ground truth."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from slamhive.analysis.selection import Selection
+from slamhive.cli.parts.choosing import EvaluationName, Where, choose_runs
+from slamhive.cli.parts.console import out, plural, remark
+from slamhive.cli.parts.waiting import Work
+from slamhive.local.home.folder import Home
+from slamhive.model.results import Outcome
+from slamhive.model.sensors import SensorMode
+
+if TYPE_CHECKING:
+    from slamhive.analysis.frame import Frame
+    from slamhive.bridges.places import Here
+    from slamhive.runfiles.suspecting import DatasetSuspects
+
+
+def show_suspects(
+    *,
+    where: Where = None,
+    evaluation: EvaluationName = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Say where runs of three systems or more agree with each other and not with the ground truth.
+
+    Example: slamhive results suspects --where "dataset = 'hall'"
+    """
+    from slamhive.bridges.places import Here
+
+    frame, notes = choose_runs(Selection((), evaluation, where), "there is nothing to compare")
+    home = Home.from_environment()
+    with Work("comparing paths") as work, Here.open(home.archive_url, home.path) as here:
+        datasets = sorted({str(row["dataset"]) for row in frame.records(["dataset"])})
+        found = []
+        for number, dataset in enumerate(datasets):
+            found.append(_suspects(here, frame, dataset))
+            work.count(number + 1, len(datasets))
+    if as_json:
+        typer.echo(json.dumps([one.as_json() for one in found], indent=2))
+        return
+    for one in found:
+        _print(one)
+    for note in notes:
+        remark(note)
+
+
+def _suspects(here: Here, frame: Frame, dataset: str) -> DatasetSuspects:
+    from slamhive.runfiles.suspecting import LocatedRun, suspects_of
+
+    runs, truth, seen = [], None, set()
+    for row in frame.records(["dataset", "uid", "outcome", "sensors"]):
+        if str(row["dataset"]) != dataset or row["outcome"] != Outcome.TRACKED.value or row["uid"] in seen:
+            continue
+        record = here.record(str(row["uid"]))
+        if record is not None:
+            seen.add(row["uid"])
+            truth = truth or here.truth(record)
+            runs.append(LocatedRun(record, here.place(record), is_scaled=row["sensors"] == SensorMode.MONO))
+    return suspects_of(dataset, truth, runs, here.algorithms())
+
+
+def _print(one: DatasetSuspects) -> None:
+    if one.found is None:
+        out.print(f"[bold]{escape(one.dataset)}[/]: not compared: {escape(one.why or '')}")
+        return
+    found = one.found
+    out.print(
+        f"[bold]{escape(one.dataset)}[/]: {plural(len(found.stretches), 'suspect')} in "
+        f"{found.seconds:.1f} s, by {plural(one.runs, 'run')} of {len(found.systems)} systems"
+    )
+    if found.stretches:
+        table = Table()
+        for heading in ("from", "to", "off by", "systems' spread", "standard errors"):
+            table.add_column(heading, justify="right")
+        for part in found.stretches:
+            table.add_row(
+                f"{part.begin:.2f} s",
+                f"{part.end:.2f} s",
+                f"{part.metres:.3f} m",
+                f"{part.spread:.3f} m",
+                f"{part.ratio:.1f}",
+            )
+        out.print(table)
+        table = Table()
+        for heading in ("system", "RMSE", "without them"):
+            table.add_column(heading, justify="left" if heading == "system" else "right")
+        for name in found.systems:
+            table.add_row(escape(name), f"{found.rmse[name]:.4f} m", f"{found.rmse_without[name]:.4f} m")
+        out.print(table)
+        remark(
+            "the truth is the likelier to be wrong there, or a sensor that all of them use; leave a stretch "
+            "out by groundTruth.holes. RMSE: of a system's mean path, aligned to what fits"
+        )
+    for sentence in one.left_out:
+        remark(f"left out: {sentence}")
