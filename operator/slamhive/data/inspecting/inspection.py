@@ -193,14 +193,19 @@ def inspect(
         return DatasetReport(
             entry.name, spec.recording.format, None, None, [], None, [], {}, [str(error)], []
         )
-    firsts = [sensor.first for sensor in sensors if sensor.first is not None]
-    lasts = [sensor.last for sensor in sensors if sensor.last is not None]
+    # A sensor of another epoch stretches the recording by years, and its finding says all that matters.
+    elsewhere = {finding.sensor for finding in findings if finding.code == "clock.epoch"}
+    timed = [sensor for sensor in sensors if sensor.name not in elsewhere]
+    firsts = [sensor.first for sensor in timed if sensor.first is not None]
+    lasts = [sensor.last for sensor in timed if sensor.last is not None]
     span = (min(firsts), max(lasts)) if firsts else None
     if span is not None:
-        sensors = [_covering(sensor, span, warnings) for sensor in sensors]
+        sensors = [
+            sensor if sensor.name in elsewhere else _covering(sensor, span, warnings) for sensor in sensors
+        ]
     truth = _truth(entry, cache, span, errors)
     if truth is not None and truth.kind == "trajectory":
-        warnings += _truth_shares(spec, sensors, truth)
+        warnings += _truth_shares(spec, timed, truth)
     warnings += _sparse_truth(truth)
     stated, length = spec.recording.duration_seconds, span[1] - span[0] if span else None
     if stated and length is not None and abs(stated - length) > max(_RATE_TOLERANCE * stated, 1.0):
