@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from slamhive.data.doctor.examined import Examined
+from slamhive.data.doctor.files import judge_files, judge_static_transforms
 from slamhive.data.doctor.watching import WatchedSensor, watch
 
 if TYPE_CHECKING:
@@ -21,25 +22,10 @@ if TYPE_CHECKING:
 WATCHERS: Mapping[SensorType, tuple[Callable[[WatchedSensor], Watcher], ...]] = {}
 """Watchers by the kind of sensor whose messages they take."""
 
-
-@dataclass(frozen=True)
-class Examined:
-    """All that is known of a recording once its messages have passed, for judgements between its sensors.
-
-    Attributes:
-        entry: The dataset.
-        recording: Its open recording.
-        watched: The times of its messages, and the watchers.
-        truth: Its ground truth; None where it has no poses, or can't be read.
-    """
-
-    entry: DatasetEntry
-    recording: Recording
-    watched: Watched
-    truth: Trajectory | None
-
-
-BETWEEN: tuple[Callable[[Examined], Iterable[Finding]], ...] = ()
+BETWEEN: tuple[Callable[[Examined], Iterable[Finding]], ...] = (
+    judge_files,
+    judge_static_transforms,
+)
 """Judgements between sensors, between them and the truth, and of the recording's files."""
 
 
