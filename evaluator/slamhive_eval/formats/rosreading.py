@@ -40,7 +40,7 @@ _COMPRESSED = b"\x28\xb5\x2f\xfd"
 """First bytes of a zstd frame; a message of ROS 2 begins with 0 (its encapsulation, OMG RTPS 10.2)."""
 
 
-class Piece(NamedTuple):
+class PieceSpan(NamedTuple):
     """A file of a recording: its name, and the times (ns) of its first message and after its last."""
 
     name: str
@@ -59,11 +59,11 @@ class RosReader(AnyReader):
 
     @property
     def notices(self) -> list[Notice]:
-        """Return what was noticed of files when they were opened."""
+        """Return the notices of the files, made when they were opened."""
         return [notice for reader in self.readers for notice in getattr(reader, "notices", ())]
 
     @property
-    def pieces(self) -> list[Piece]:
+    def pieces(self) -> list[PieceSpan]:
         """Return the files with messages in the order as they are listed."""
         readers: list[Any] = []
         for one in self.readers:
@@ -73,7 +73,7 @@ class RosReader(AnyReader):
         for one in readers:
             times = getattr(one, "metadata", one)
             if times.message_count:
-                found.append(Piece(Path(one.path).name, times.start_time, times.end_time))
+                found.append(PieceSpan(Path(one.path).name, times.start_time, times.end_time))
         return found
 
 
@@ -240,7 +240,7 @@ class _Ros2Path(Reader):
 
     @property
     def notices(self) -> list[Notice]:
-        """Return what was noticed of files when they were opened."""
+        """Return the notices of the files, made when they were opened."""
         return self.storage.notices  # type: ignore[attr-defined,no-any-return]
 
     def messages(

@@ -24,7 +24,7 @@ _SAME_METRES, _SAME_RADIANS = 1e-6, 1e-6
 
 
 def judge_files(examined: Examined) -> Iterable[Finding]:
-    """Yield what is odd about the files, and topics of which fewer or more messages were read than stated."""
+    """Yield oddities of the files, and topics of which fewer or more messages were read than stated."""
     recording = examined.recording
     for notice in recording.notices:
         severity = Severity.WARNING if notice.code in _GRAVE else Severity.NOTE

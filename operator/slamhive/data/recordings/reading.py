@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
     from slamhive.model.dataset import Dataset
-    from slamhive_eval.formats.rosreading import Piece
+    from slamhive_eval.formats.rosreading import PieceSpan
 
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
@@ -284,7 +284,7 @@ class Recording:
             raise DataError(f"{self.label}: empty: there is no message in it; record it again")
         return topics
 
-    def _order(self, listed: Sequence[Piece], ordered: Sequence[Piece]) -> Iterator[Notice]:
+    def _order(self, listed: Sequence[PieceSpan], ordered: Sequence[PieceSpan]) -> Iterator[Notice]:
         """Yield notices of the order of files, and of their overlap."""
         if [piece.start for piece in listed] != [piece.start for piece in ordered]:
             names = ", ".join(piece.name for piece in ordered)
