@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from slamhive_eval.errors import FileError, TrajectoryError, did_you_mean
 from slamhive_eval.formats import posemessages
+from slamhive_eval.formats.notices import NotDamagedError
 from slamhive_eval.formats.posemessages import READERS, STATIC_TRANSFORMS, TF_TYPES
 from slamhive_eval.formats.transforms import Frames
 
@@ -71,14 +72,14 @@ class _Bag:
         if not self.path.exists():
             raise FileError(path, "can't be read: No such file or directory")
         try:
-            from rosbags.highlevel import AnyReader  # noqa: PLC0415 - takes longer than a small evaluation
-            from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+            # It takes longer than a small evaluation.
+            from slamhive_eval.formats.rosreading import RosReader  # noqa: PLC0415
         except ImportError:
             raise FileError(
                 path, "reading recordings needs the package rosbags: pip install rosbags"
             ) from None
         try:
-            self._reader = AnyReader([self.path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+            self._reader = RosReader([self.path], is_ros1=self.path.suffix == ".bag")
             self._reader.open()
         except Exception as error:  # noqa: BLE001 - parsers raise anything on hostile bytes
             raise self._damaged(error) from None
@@ -138,6 +139,8 @@ class _Bag:
             raise FileError(f"{self.path}:{name}", f"messages of type {kind} carry no pose; {known} do")
 
     def _damaged(self, error: Exception) -> FileError:
+        if isinstance(error, NotDamagedError):
+            return FileError(self.path, str(error))
         text = " ".join(str(error).split()) or type(error).__name__
         shown = text if len(text) <= 160 else text[:160] + "…"
         return FileError(self.path, f"can't be read as a recording, it is damaged or cut off ({shown})")

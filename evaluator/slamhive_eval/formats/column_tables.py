@@ -16,7 +16,15 @@ from slamhive_eval import rotation
 from slamhive_eval.errors import FileError, NoPosesError, OptionError
 from slamhive_eval.formats.columns import ANGLES, MATRIX_COLUMNS, POSITION, QUATERNION
 from slamhive_eval.formats.kitti_files import check_matrices
-from slamhive_eval.formats.textfiles import decode, is_number, lines_of, parse_table, read_bytes
+from slamhive_eval.formats.textfiles import (
+    DECIMAL_COMMA,
+    decode,
+    has_decimal_comma,
+    is_number,
+    lines_of,
+    parse_table,
+    read_bytes,
+)
 from slamhive_eval.trajectory import Trajectory, find_fault
 
 if TYPE_CHECKING:
@@ -80,7 +88,7 @@ def _rows(path: str | Path, text: str, form: TableFormat) -> Iterator[_Row]:
         if not content:
             continue
         if delimiter is None:
-            delimiter = next((one for one in ",;\t" if one in content), " ")
+            delimiter = next((one for one in ";,\t" if one in content), " ")
         words = content.split() if delimiter == " " else _cut(content, delimiter)
         if len(words) < width:
             raise FileError(
@@ -113,8 +121,8 @@ def _no_number(path: str | Path, rows: list[_Row], form: TableFormat, name: str,
     """The error for the first word of some columns that is no number."""
     row, word = next((row, row.words[k]) for row in rows for k in places if not is_number(row.words[k]))
     shown = word if len(word) <= _LONGEST_WORD else word[:_LONGEST_WORD] + "…"
-    hint = ""
-    if row is rows[0]:
+    hint = f"; {DECIMAL_COMMA}" if has_decimal_comma(word) else ""
+    if row is rows[0] and not hint:
         hint = f"; if the table begins with the names of its columns, skip {form.skip + 1}"
     return FileError(path, f"{shown!r} in the column {name} is no number{hint}", row.number)
 

@@ -12,9 +12,11 @@ from slamhive_eval import rotation
 from slamhive_eval.errors import FileError, NoPosesError, OptionError, TrajectoryError
 from slamhive_eval.formats import bags, kitti_files, tables
 from slamhive_eval.formats.textfiles import (
+    DECIMAL_COMMA,
     data_lines,
     decode,
     fault_in_row,
+    has_decimal_comma,
     head,
     is_number,
     parse_table,
@@ -237,6 +239,8 @@ def _detect(path: str | Path, text: str) -> tuple[Format, tables.Header | None]:
             return "euroc" if nanoseconds and "," in content else "tum", None
     if header is not None:
         return "csv", header
+    if has_decimal_comma(content):
+        raise FileError(path, DECIMAL_COMMA, number)
     known = "; ".join(f"{name} has {count}" for name, (count, _) in _COLUMNS.items())
     raise FileError(
         path,

@@ -11,6 +11,7 @@ import bz2
 import gzip
 import io
 import itertools
+import re
 import warnings
 import zlib
 from pathlib import Path
@@ -30,6 +31,9 @@ _BLOCK = 1 << 19
 """Bytes that are turned into numbers at once: what comes of them stays in the processor's cache."""
 _KEPT_BYTES = 16 << 20
 _HEAD = 1 << 14
+_COMMA_NUMBER = re.compile(r"(?:^|[;\s])[-+]?\d+,\d+(?:[eE][-+]?\d+)?(?=[;\s]|$)")
+DECIMAL_COMMA = "its numbers have a decimal comma; write them with a point, as 1.5"
+"""Sentence on a line of `has_decimal_comma`."""
 _GZIP, _BZIP2 = b"\x1f\x8b", b"BZh"
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
@@ -174,9 +178,16 @@ def is_number(word: str) -> bool:
     return "_" not in word
 
 
+def has_decimal_comma(line: str) -> bool:
+    """Tell whether numbers of a line have a comma for the point: values are split by something else then."""
+    return _COMMA_NUMBER.search(line) is not None
+
+
 def _raise_bad_line(path: str | Path, text: str, columns: int, meaning: str, *, extra: bool) -> None:
     for number, content in data_lines(text):
         words = content.replace(",", " ").split()
+        if len(words) != columns and has_decimal_comma(content):
+            raise FileError(path, f"{DECIMAL_COMMA}; expected {meaning}", number)
         if len(words) < columns or (len(words) > columns and not extra):
             raise FileError(path, f"found {len(words)} of {columns} values; expected {meaning}", number)
         for word in words:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from slamhive.data.doctor import clocks
 from slamhive.data.doctor.examined import Examined
+from slamhive.data.doctor.files import judge_files, judge_static_transforms
 from slamhive.data.doctor.watching import WatchedSensor, watch
 
 if TYPE_CHECKING:
@@ -22,7 +23,11 @@ if TYPE_CHECKING:
 WATCHERS: Mapping[SensorType, tuple[Callable[[WatchedSensor], MessageWatcher], ...]] = {}
 """Watchers by the kind of sensor whose messages they take."""
 
-BETWEEN: tuple[Callable[[Examined], Iterable[Finding]], ...] = (clocks.epochs,)
+BETWEEN: tuple[Callable[[Examined], Iterable[Finding]], ...] = (
+    judge_files,
+    judge_static_transforms,
+    clocks.epochs,
+)
 """Judgements between sensors, between them and the truth, and of the recording's files."""
 
 

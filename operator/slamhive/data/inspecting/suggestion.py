@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
+from slamhive.data.doctor.files import static_contradictions
 from slamhive.data.recordings import kinds
 from slamhive.data.recordings.checks import LEAST_SCAN_SECONDS, SAME_INSTANT
 from slamhive.data.recordings.clouds import cloud_points, point_times
@@ -106,7 +107,8 @@ class _Look:
     def __init__(self, recording: Recording, name: str) -> None:
         self.recording = recording
         self.name = name
-        self.notes: list[str] = []
+        self.notes = [f"recording.files: {notice.text}" for notice in recording.notices]
+        self.notes += [finding.message for finding in static_contradictions(recording)]
         self.tree = static_tree(recording)
         self.body: str | None = None
 

@@ -9,7 +9,7 @@ from slamhive.data.recordings.reading import TF_TYPES
 from slamhive.data.recordings.streams import STATIC_TRANSFORMS
 from slamhive.model.errors import DataError, suggestion
 from slamhive_eval import EvaluationError, Trajectory
-from slamhive_eval.formats.posemessages import add_transforms, read_poses
+from slamhive_eval.formats.posemessages import Row, add_transforms, pose_row, read_poses
 from slamhive_eval.formats.transforms import Frames
 
 if TYPE_CHECKING:
@@ -87,6 +87,19 @@ def static_tree(recording: Recording) -> Frames:
     if found is None or found.message_type not in TF_TYPES:
         return Frames()
     return _frames(recording, STATIC_TRANSFORMS)
+
+
+def static_poses(recording: Recording) -> dict[tuple[str, str], list[Row]]:
+    """Return all poses that /tf_static states, by parent and child: x, y, z in m, quaternion x to w."""
+    found = recording.topics.get(STATIC_TRANSFORMS)
+    poses: dict[tuple[str, str], dict[Row, None]] = {}
+    if found is not None and found.message_type in TF_TYPES:
+        for connection, _, raw in recording.messages({STATIC_TRANSFORMS}):
+            for item in recording.decode(raw, connection.msgtype).transforms:
+                edge = (item.header.frame_id.lstrip("/"), item.child_frame_id.lstrip("/"))
+                row = pose_row(item.transform.translation, item.transform.rotation)
+                poses.setdefault(edge, {})[row] = None
+    return {edge: list(rows) for edge, rows in poses.items()}
 
 
 def relative_pose(frames: Frames, parent: str, child: str) -> npt.NDArray[np.float64] | None:

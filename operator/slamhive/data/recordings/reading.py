@@ -7,8 +7,10 @@ damaged files into one sentence, and finds the header stamp of a message without
 
 from __future__ import annotations
 
+import re
 import struct
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -16,9 +18,10 @@ import numpy as np
 from slamhive.data.files.damage import remedy
 from slamhive.model.algorithm import RecordingFormat
 from slamhive.model.errors import DataError
+from slamhive_eval.formats.notices import NotDamagedError, Notice
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
     from pathlib import Path
 
     import numpy.typing as npt
@@ -26,10 +29,27 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
     from slamhive.model.dataset import Dataset
+    from slamhive_eval.formats.rosreading import PieceSpan
 
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 _HEADER = "std_msgs/msg/Header"
+_PIECE = re.compile(r"(.+)_(\d+)\.(bag|db3|mcap)")
+"""Names of the pieces of a split recording, as recorders of ROS 1 and ROS 2 number them."""
+_LATER = re.compile(r"_0*[1-9]\d*\.(db3|mcap)$")
+
+_OTHERS = {
+    ".rawlog": "rawlogs of MRPT aren't read; convert it to a ROS bag, or take the CARMEN log of the same "
+    "recording (.log, .clf), if there is one",
+    ".bag.active": "a bag whose recorder was killed: copy it to a name that ends in .bag, and "
+    "`rosbag reindex` on that copy closes it",
+    **dict.fromkeys(
+        (".db3.zstd", ".mcap.zstd"),
+        "a compressed file of a ROS 2 bag: add its folder, whose metadata.yaml says so, or unpack it: "
+        "`zstd -d {}`",
+    ),
+}
+"""Remedies for files that are no recordings, by their endings."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +88,12 @@ class Recording:
     """An open recording.
 
     Args:
-        paths: Its files, in the order of time.
+        paths: Its files, in any order.
         recording_format: How it is stored.
+
+    Attributes:
+        topics: Its topics by name.
+        notices: What was noticed of its files when they were opened, each with its finding's code.
 
     Raises:
         DataError: It is missing, empty, truncated or of another format.
@@ -81,17 +105,21 @@ class Recording:
         for path in self.paths:
             _check_path(path, recording_format)
         # Most commands know of recordings without reading one, and this takes a third of a second.
-        from rosbags.highlevel import AnyReader  # noqa: PLC0415
-        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+        from slamhive_eval.formats.rosreading import RosReader  # noqa: PLC0415
 
-        store = Stores.ROS1_NOETIC if recording_format is RecordingFormat.ROSBAG1 else Stores.ROS2_HUMBLE
         try:
-            self._reader = AnyReader(self.paths, default_typestore=get_typestore(store))
+            self._reader = RosReader(self.paths, is_ros1=recording_format is RecordingFormat.ROSBAG1)
             self._reader.open()
         except Exception as error:  # noqa: BLE001 - parsers raise anything on hostile bytes
             raise self._unreadable(error, indexed=False) from None
         try:
             self.topics = self._topics()
+            times = self._reader.pieces
+            ordered = sorted(times, key=lambda piece: piece.start)
+            self._overlaps = [
+                (before, after) for before, after in pairwise(ordered) if after.start < before.end - 1
+            ]
+            self.notices = [*self._reader.notices, *self._order(times, ordered), *self._neighbours()]
         except BaseException:
             self._reader.close()
             raise
@@ -142,7 +170,9 @@ class Recording:
         chosen = [connection for connection in self.connections if connection.topic in topics]
         if not chosen:
             return
-        messages = self._reader.messages(chosen, start, stop)
+        messages: Iterator[tuple[Connection, int, bytes]] = self._reader.messages(chosen, start, stop)
+        if self._overlaps:
+            messages = _each_once(messages)
         while True:
             try:
                 item = next(messages)
@@ -254,7 +284,51 @@ class Recording:
             raise DataError(f"{self.label}: empty: there is no message in it; record it again")
         return topics
 
+    def _order(self, listed: Sequence[PieceSpan], ordered: Sequence[PieceSpan]) -> Iterator[Notice]:
+        """Yield notices of the order of files, and of their overlap."""
+        if [piece.start for piece in listed] != [piece.start for piece in ordered]:
+            names = ", ".join(piece.name for piece in ordered)
+            yield Notice(
+                "files.order", f"the files are listed in another order than their times; read as {names}"
+            )
+        for before, after in self._overlaps:
+            seconds = (min(before.end, after.end) - after.start) / 1e9
+            yield Notice(
+                "files.overlap",
+                f"{before.name} and {after.name} overlap by {seconds:.3f} s; messages that are in both count "
+                "once",
+            )
+
+    def _neighbours(self) -> Iterator[Notice]:
+        """Yield notices of pieces that lie beside, and of a lone one without static transforms."""
+        given = {path.resolve() for path in self.paths}
+        beside: dict[str, None] = {}
+        for path in self.paths:
+            stem = _PIECE.fullmatch(path.name)
+            if stem is None or path.is_dir():
+                continue
+            for other in sorted(path.resolve().parent.iterdir()):
+                match = _PIECE.fullmatch(other.name)
+                if match and match[1] == stem[1] and match[3] == stem[3] and other.resolve() not in given:
+                    beside[other.name] = None
+        if beside:
+            yield Notice(
+                "files.missing",
+                f"{', '.join(beside)} beside {'it' if len(given) == 1 else 'them'} may be pieces of the same "
+                "recording, and aren't read: name all of them in recording.files",
+                len(beside),
+            )
+        alone = [path.name for path in self.paths if path.is_file() and path.suffix in {".db3", ".mcap"}]
+        if "/tf_static" not in self.topics and len(alone) == 1 and _LATER.search(alone[0]):
+            yield Notice(
+                "files.piece",
+                f"{alone[0]} is a piece of a recording, without /tf_static: extrinsics may be in the first "
+                "piece",
+            )
+
     def _unreadable(self, error: Exception, *, indexed: bool) -> DataError:
+        if isinstance(error, NotDamagedError):
+            return DataError(f"{self.label}: {error}")
         hints = dict.fromkeys(remedy(path, indexed=indexed) for path in self.paths)
         return DataError(f"{self.label}: can't be read as {self.format} ({_said(error)}): {'; '.join(hints)}")
 
@@ -292,20 +366,26 @@ def guess_format(path: Path) -> RecordingFormat:
     """
     if not path.exists():
         raise DataError(f"{path}: no such file or folder")
-    if path.is_dir() and (path / "metadata.yaml").is_file():
+    if path.is_dir():
+        if (path / "metadata.yaml").is_file():
+            return RecordingFormat.ROSBAG2
+        if any(path.glob("*.db3")) or any(path.glob("*.mcap")):
+            raise DataError(
+                f"{path}: a ROS 2 bag without metadata.yaml, as a recorder leaves it that was killed: "
+                f"`ros2 bag reindex {path.name}` on a copy writes it; a file in it can be added by itself"
+            )
+    if path.suffix == ".db3":
         return RecordingFormat.ROSBAG2
     if path.suffix == ".bag":
         return RecordingFormat.ROSBAG1
     if path.suffix == ".mcap":
         return RecordingFormat.MCAP
-    if path.suffix == ".rawlog":
-        raise DataError(
-            f"{path}: rawlogs of MRPT aren't read; convert it to a ROS bag, or take the CARMEN log of the "
-            "same recording (.log, .clf), if there is one"
-        )
+    helps = next((help_ for ending, help_ in _OTHERS.items() if path.name.endswith(ending)), None)
+    if helps:
+        raise DataError(f"{path}: {helps.format(path.name)}")
     raise DataError(
         f"{path}: not a recording: a ROS 1 bag ends in .bag, an MCAP file in .mcap, a ROS 2 bag is a folder "
-        "with metadata.yaml"
+        "with metadata.yaml, or a .db3 file of one"
     )
 
 
@@ -315,6 +395,20 @@ def _check_path(path: Path, recording_format: RecordingFormat) -> None:
         raise DataError(f"{path}: recording.format says {recording_format}, but this is {found}")
     if path.is_file() and path.stat().st_size == 0:
         raise DataError(f"{path}: an empty file of 0 bytes; copy or record it again")
+
+
+def _each_once(
+    messages: Iterable[tuple[Connection, int, bytes]],
+) -> Iterator[tuple[Connection, int, bytes]]:
+    """Yield messages, one that is in several files once: they are at the same time then."""
+    now: int | None = None
+    seen: set[tuple[str, bytes]] = set()
+    for connection, time, raw in messages:
+        if time != now:
+            now, seen = time, set()
+        if (connection.topic, raw) not in seen:
+            seen.add((connection.topic, raw))
+            yield connection, time, raw
 
 
 def _ros1_stamp(raw: bytes) -> int:
