@@ -357,11 +357,16 @@ def _decode_compressed(message: Any, sensor: Sensor) -> np.ndarray:
         import cv2
     except ImportError:
         raise AdapterError(f"{sensor.topic} is compressed, which takes OpenCV to read") from None
-    # A compressed depth image has 12 bytes of parameters before the PNG.
-    data = np.asarray(message.data, np.uint8)[12 if "compressedDepth" in message.format else 0 :]
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    # compressedDepth has 12 bytes before the PNG: a number of its form, A and B of the quantisation of 32FC1.
+    is_depth = "compressedDepth" in message.format
+    data = np.asarray(message.data, np.uint8)
+    image = cv2.imdecode(data[12 if is_depth else 0 :], cv2.IMREAD_UNCHANGED)
     if image is None:
-        raise AdapterError(f"{sensor.topic} has a compressed image that OpenCV can't read")
+        raise AdapterError(f"{sensor.topic} has a compressed image that OpenCV can't read ({message.format})")
+    if is_depth and message.format.startswith("32FC1"):
+        a, b = np.frombuffer(data[4:12].tobytes(), "<f4").astype(float)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(image > 0, a / (image - b), 0).astype(np.float32)
     return image if image.ndim == 2 else np.ascontiguousarray(image[:, :, 2::-1])
 
 

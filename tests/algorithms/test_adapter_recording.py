@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -276,3 +277,16 @@ def test_decodes_compressed_images(maker: Maker, image: np.ndarray) -> None:
         "sensor_msgs/msg/CompressedImage", header=maker.header(START), format="png", data=data
     )
     assert np.array_equal(decode_image(message, LIDAR), image)
+
+
+def test_depth_in_metres_is_no_longer_quantised(maker: Maker) -> None:
+    a, b, metres = 10_100.0, 1 - 10_100.0 / 10, np.array([[1.0, 2.0, 9.0]])
+    stored = np.hstack((np.rint(a / metres + b), [[0]])).astype(np.uint16)
+    data = struct.pack("<iff", 0, a, b) + cv2.imencode(".png", stored)[1].tobytes()
+    message = maker.make(
+        "sensor_msgs/msg/CompressedImage", header=maker.header(START), format="32FC1; compressedDepth png",
+        data=np.frombuffer(data, np.uint8),
+    )  # fmt: skip
+    depth = decode_image(message, LIDAR)
+    assert depth.dtype == np.float32
+    assert depth[0] == pytest.approx([*metres[0], 0.0], rel=0.01)

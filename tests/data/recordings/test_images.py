@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
+import struct
 from dataclasses import replace
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from bagsamples import compress
 from rosbags.typesys import Stores, get_typestore
 
 from slamhive.data.recordings.images import (
+    compressed_pixels,
     image_pixels,
     resize,
     scale_camera,
@@ -140,3 +143,51 @@ def test_compressed_images_stay_lossless() -> None:
     assert np.array_equal(cv2.imdecode(scaled.data, -1), resize(pixels, 0.5, nearest=False))
     with pytest.raises(DataError, match="can't be decoded"):
         scale_compressed(replace(message, data=data[:20]), 0.5, depth=False, where="/cam")
+
+
+DEPTH = np.array([[0, 0, 0, 1500], [1501, 1499, 0, 65535], [1, 0, 9, 9]], dtype=np.uint16)
+
+
+def compressed_depth(stored: Any, described: str, a: float = 0.0, b: float = 0.0) -> Any:
+    data = compress(stored, described, struct.pack("<iff", 0, a, b))
+    return make("ros1", "sensor_msgs/msg/CompressedImage", format=described, data=data)
+
+
+@pytest.mark.parametrize("end", ["", " png", " rvl"])
+def test_compressed_depth_is_what_was_compressed(end: str) -> None:
+    message = compressed_depth(DEPTH, f"16UC1; compressedDepth{end}")
+    assert np.array_equal(compressed_pixels(message, "/depth"), DEPTH)
+    for scale in (1.0, 0.5):
+        scaled = scale_compressed(message, scale, depth=True, where="/depth")
+        assert scaled.format == "16UC1; compressedDepth png"
+        assert np.array_equal(compressed_pixels(scaled, "x"), resize(DEPTH, scale, nearest=True))
+
+
+@pytest.mark.parametrize("end", ["png", "rvl"])
+def test_depth_in_metres_is_no_longer_quantised(end: str) -> None:
+    metres = np.array([[0.5, 1.0, 2.0], [4.0, 8.0, 9.5]])
+    # As compressed_depth_image_transport does it: 1 cm at 1 m, and 10 m at most.
+    a, b = 10_100.0, 1 - 10_100.0 / 10
+    stored = np.rint(a / metres + b).astype(np.uint16)
+    stored[0, 0] = 0
+    message = compressed_depth(stored, f"32FC1; compressedDepth {end}", a, b)
+    for one in (message, scale_compressed(message, 1.0, depth=True, where="/depth")):
+        depth = compressed_pixels(one, "/depth")
+        assert depth.dtype == np.float32
+        assert depth[0, 0] == 0
+        assert depth.reshape(-1)[1:] == pytest.approx(metres.reshape(-1)[1:], rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        (compressed_depth(DEPTH.astype(np.uint8), "16UC1; compressedDepth png"), "PNG of 16 bits, and RVL"),
+        (compressed_depth(DEPTH, "32FC1; compressedDepth png"), "quantised by A = 0"),
+        (compressed_depth(np.ones((4, 4), np.uint16), "16UC1; compressedDepth rvl"), ""),
+    ],
+)
+def test_compressed_depth_that_is_damaged_is_refused(message: Any, words: str) -> None:
+    if not words:
+        message, words = replace(message, data=message.data[:20]), "it ends after 0 of 16 pixels"
+    with pytest.raises(DataError, match=words):
+        compressed_pixels(message, "/depth")

@@ -159,12 +159,16 @@ def _image(look: SensorLook) -> str:
 
 
 def _compressed(look: SensorLook) -> str:
-    import cv2  # noqa: PLC0415 - for those who look into recordings alone
+    # With OpenCV: for those who look into recordings alone.
+    from slamhive.data.recordings.images import compressed_pixels, is_compressed_depth  # noqa: PLC0415
 
     sensor, message = look.sensor, look.first()
-    pixels = cv2.imdecode(message.data, cv2.IMREAD_UNCHANGED) if message.data.size else None
-    if pixels is None:
-        # Other transports, such as compressedDepth, are the algorithm's own business at full resolution.
+    try:
+        pixels = compressed_pixels(message, f"{look.where}: {sensor.topic} in {look.recording.label}")
+    except DataError:
+        if is_compressed_depth(message):
+            raise
+        # Other transports are the algorithm's own business at full resolution.
         return f"compressed as {message.format!r}"
     height, width = pixels.shape[:2]
     camera = sensor.camera
