@@ -121,7 +121,6 @@ def test_byte_order_and_padding_are_understood(big_endian: Any, padding: Any) ->
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"encoding": "bayer_rggb8"}, "raw Bayer data"),
         ({"encoding": "yuv422"}, "unknown encoding 'yuv422'"),
         ({"data": np.zeros(5, dtype=np.uint8)}, "has 5 bytes"),
         ({"step": 2}, "rows of 2"),
@@ -133,6 +132,30 @@ def test_images_that_cannot_be_scaled(change: Any, words: Any) -> None:
         DataError, match=words.replace("'", ".").replace("unknown encoding ", "unknown encoding .")
     ):
         scale_image(message, 0.5, depth=False, where="/cam")
+
+
+def test_bayer_data_becomes_colours() -> None:
+    colour = np.zeros((8, 8, 3), dtype=np.uint8)
+    colour[:] = (30, 120, 200)  # blue, green, red
+    for pattern in ("rggb", "bggr", "gbrg", "grbg"):
+        mosaic = np.zeros((8, 8), dtype=np.uint8)
+        for k, letter in enumerate(pattern):
+            mosaic[k // 2 :: 2, k % 2 :: 2] = colour[0, 0, "bgr".index(letter)]
+        for wide in (1, 257):
+            bits = 8 if wide == 1 else 16
+            message = image(mosaic * np.array(wide, dtype=f"u{bits // 8}"), f"bayer_{pattern}{bits}")
+            assert np.array_equal(image_pixels(message, "x"), colour.astype(int) * wide)
+            scaled = scale_image(message, 0.5, depth=False, where="x")
+            assert (scaled.encoding, scaled.width, scaled.step) == (f"bgr{bits}", 4, 12 * bits // 8)
+    assert scale_camera(CAMERA.replace(encoding="bayer_rggb8"), 0.5).encoding == "bgr8"
+
+
+def test_rows_of_0_bytes_are_not_padded() -> None:
+    pixels = np.arange(12, dtype=np.uint16).reshape(3, 4)
+    message = image(pixels, "mono16")
+    assert np.array_equal(image_pixels(replace(message, step=0), "x"), pixels)
+    with pytest.raises(DataError, match="has 23 bytes in rows of 0"):
+        image_pixels(replace(message, step=0, data=message.data[:-1]), "x")
 
 
 def test_compressed_images_stay_lossless() -> None:

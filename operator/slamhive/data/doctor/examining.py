@@ -6,7 +6,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from slamhive.data.doctor.cameras import judge_cameras
+from slamhive.data.doctor.pictures import Pictures
 from slamhive.data.doctor.watching import WatchedSensor, watch
+from slamhive.model.sensors import SensorType
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -15,10 +18,13 @@ if TYPE_CHECKING:
     from slamhive.data.doctor.watching import Watched, Watcher
     from slamhive.data.recordings.entries import DatasetEntry
     from slamhive.data.recordings.reading import Recording
-    from slamhive.model.sensors import Sensor, SensorType
+    from slamhive.model.sensors import Sensor
     from slamhive_eval import Trajectory
 
-WATCHERS: Mapping[SensorType, tuple[Callable[[WatchedSensor], Watcher], ...]] = {}
+WATCHERS: Mapping[SensorType, tuple[Callable[[WatchedSensor], Watcher], ...]] = {
+    SensorType.CAMERA: (Pictures,),
+    SensorType.DEPTH_CAMERA: (Pictures,),
+}
 """Watchers by the kind of sensor whose messages they take."""
 
 
@@ -39,7 +45,7 @@ class Examined:
     truth: Trajectory | None
 
 
-BETWEEN: tuple[Callable[[Examined], Iterable[Finding]], ...] = ()
+BETWEEN: tuple[Callable[[Examined], Iterable[Finding]], ...] = (judge_cameras,)
 """Judgements between sensors, between them and the truth, and of the recording's files."""
 
 

@@ -33,6 +33,15 @@ ENCODINGS: dict[str, tuple[str, int]] = {
     "32FC1": ("f4", 1),
 }
 """Pixel type and channels of the encodings that are read."""
+_TO_BGR = {
+    # OpenCV names a pattern by the second pixels of its second row.
+    "bayer_rggb": cv2.COLOR_BayerBG2BGR,
+    "bayer_bggr": cv2.COLOR_BayerRG2BGR,
+    "bayer_gbrg": cv2.COLOR_BayerGR2BGR,
+    "bayer_grbg": cv2.COLOR_BayerGB2BGR,
+}
+BAYER = {f"{pattern}{bits}": (f"u{bits // 8}", 1) for pattern in _TO_BGR for bits in (8, 16)}
+"""Pixel type and channels of raw data of sensors with colour filters; colours are made of it."""
 _DEPTH_HEAD = struct.Struct("<iff")
 """Head of a compressedDepth image: a number of its form, and A and B of the quantisation of 32FC1."""
 _MOST_PIXELS = 2**24
@@ -69,6 +78,7 @@ def scale_camera(camera: Camera, scale: float) -> Camera:
     return camera.replace(
         width=width,
         height=height,
+        encoding=_scaled_encoding(camera.encoding),
         fx=camera.fx * sx,
         fy=camera.fy * sy,
         cx=(camera.cx + 0.5) * sx - 0.5,
@@ -132,6 +142,7 @@ def scale_image(message: Any, scale: float, *, depth: bool, where: str) -> Any:
     rows = scaled.view(np.uint8).reshape(len(scaled), -1)
     return replace(
         message,
+        encoding=_scaled_encoding(message.encoding),
         height=scaled.shape[0],
         width=scaled.shape[1],
         step=rows.shape[1],
@@ -140,30 +151,40 @@ def scale_image(message: Any, scale: float, *, depth: bool, where: str) -> Any:
     )
 
 
+def _scaled_encoding(encoding: str) -> str:
+    """Return the encoding of scaled images: Bayer data becomes colours."""
+    return ("bgr16" if encoding.endswith("16") else "bgr8") if encoding in BAYER else encoding
+
+
 def image_pixels(message: Any, where: str) -> npt.NDArray[Any]:
     """Return the pixels of a sensor_msgs/Image, (height, width[, channels]), in native byte order.
+
+    Bayer data becomes colours, as BGR. Rows of 0 bytes, as some drivers state, are rows without padding.
 
     Raises:
         DataError: Its encoding isn't known, or it is damaged.
     """
-    if message.encoding not in ENCODINGS:
-        kind = "raw Bayer data" if message.encoding.startswith("bayer") else "of an unknown encoding"
+    known = ENCODINGS | BAYER
+    if message.encoding not in known:
         raise DataError(
-            f"{where}: images are {kind} ({message.encoding!r}) and can't be read; allowed: "
-            f"{', '.join(ENCODINGS)}"
+            f"{where}: images are of an unknown encoding ({message.encoding!r}) and can't be read; allowed: "
+            f"{', '.join(known)}"
         )
-    letter, channels = ENCODINGS[message.encoding]
+    letter, channels = known[message.encoding]
     order = ">" if message.is_bigendian else "<"
     used = message.width * channels * int(letter[1])
-    if message.step < used or message.data.size < message.step * message.height or used == 0:
+    step = message.step or used
+    if step < used or message.data.size < step * message.height or used == 0:
         raise DataError(
             f"{where}: an image of {message.width}×{message.height} {message.encoding} has "
             f"{message.data.size} bytes in rows of {message.step}; {used * message.height} are needed"
         )
-    rows = message.data[: message.step * message.height].reshape(message.height, message.step)[:, :used]
+    rows = message.data[: step * message.height].reshape(message.height, step)[:, :used]
     pixels = np.ascontiguousarray(rows).view(f"{order}{letter}")
     shape = (message.height, message.width) if channels == 1 else (message.height, message.width, channels)
-    return pixels.reshape(shape).astype(letter, copy=False)
+    pixels = pixels.reshape(shape).astype(letter, copy=False)
+    pattern = message.encoding[: len("bayer_rggb")]
+    return cv2.cvtColor(pixels, _TO_BGR[pattern]) if pattern in _TO_BGR else pixels
 
 
 def scale_compressed(message: Any, scale: float, *, depth: bool, where: str) -> Any:
