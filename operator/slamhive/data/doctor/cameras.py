@@ -17,7 +17,7 @@ from slamhive.model.sensors import Role, SensorType
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from slamhive.data.doctor.examining import Examined
+    from slamhive.data.doctor.examined import Examined
     from slamhive.data.recordings.reading import Recording
     from slamhive.model.sensors import Camera, Sensor
 

@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from slamhive.data.doctor.cameras import judge_cameras
+from slamhive.data.doctor.examined import Examined
 from slamhive.data.doctor.pictures import Pictures
 from slamhive.data.doctor.watching import WatchedSensor, watch
 from slamhive.model.sensors import SensorType
@@ -26,23 +26,6 @@ WATCHERS: Mapping[SensorType, tuple[Callable[[WatchedSensor], Watcher], ...]] = 
     SensorType.DEPTH_CAMERA: (Pictures,),
 }
 """Watchers by the kind of sensor whose messages they take."""
-
-
-@dataclass(frozen=True)
-class Examined:
-    """All that is known of a recording once its messages have passed, for judgements between its sensors.
-
-    Attributes:
-        entry: The dataset.
-        recording: Its open recording.
-        watched: The times of its messages, and the watchers.
-        truth: Its ground truth; None where it has no poses, or can't be read.
-    """
-
-    entry: DatasetEntry
-    recording: Recording
-    watched: Watched
-    truth: Trajectory | None
 
 
 BETWEEN: tuple[Callable[[Examined], Iterable[Finding]], ...] = (judge_cameras,)

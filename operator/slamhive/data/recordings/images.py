@@ -267,7 +267,7 @@ def _stored_depth(message: Any, where: str) -> npt.NDArray[np.uint16]:
             f"{where}: depth ({message.format!r}) can't be decoded; allowed: PNG of 16 bits, and RVL, each "
             f"after a head of {_DEPTH_HEAD.size} bytes"
         )
-    return stored
+    return stored.astype(np.uint16, copy=False)
 
 
 def _rvl(data: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint16]:
@@ -283,7 +283,7 @@ def _rvl(data: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint16]:
     Raises:
         ValueError: Pixels are missing or too many.
     """
-    width, height = struct.unpack_from("<ii", data) if data.size >= 8 else (0, 0)
+    width, height = struct.unpack_from("<ii", data.tobytes()) if data.size >= 8 else (0, 0)
     if not (width > 0 and height > 0 and width * height <= _MOST_PIXELS):
         raise ValueError(f"an image of {width}×{height} pixels")
     words = np.frombuffer(data[8 : 8 + (data.size - 8) // 4 * 4].tobytes(), dtype="<u4")

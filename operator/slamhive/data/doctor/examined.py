@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recording whose messages have passed, as judgements between its sensors take it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from slamhive.data.doctor.watching import Watched
+    from slamhive.data.recordings.entries import DatasetEntry
+    from slamhive.data.recordings.reading import Recording
+    from slamhive_eval import Trajectory
+
+
+@dataclass(frozen=True)
+class Examined:
+    """All that is known of a recording once its messages have passed, for judgements between its sensors.
+
+    Attributes:
+        entry: The dataset.
+        recording: Its open recording.
+        watched: The times of its messages, and the watchers.
+        truth: Its ground truth; None where it has no poses, or can't be read.
+    """
+
+    entry: DatasetEntry
+    recording: Recording
+    watched: Watched
+    truth: Trajectory | None
