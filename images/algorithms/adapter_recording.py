@@ -46,6 +46,9 @@ IMAGE_TYPES = {
     "bgra8": ("u1", 4),
 }
 """Encoding to numpy type and channels."""
+BAYER = {"bayer_rggb": "BG", "bayer_bggr": "RG", "bayer_gbrg": "GR", "bayer_grbg": "GB"}
+"""Patterns of colour filters, and OpenCV's names of them: by the second pixels of the second row."""
+IMAGE_TYPES |= {f"{pattern}{8 * size}": (f"u{size}", 1) for pattern in BAYER for size in (1, 2)}
 
 
 @dataclass(frozen=True)
@@ -328,40 +331,63 @@ def decode_image(message: Any, sensor: Sensor) -> np.ndarray:
     """Decode a sensor_msgs/Image or sensor_msgs/CompressedImage.
 
     Returns:
-        `(height, width)` as it is, or `(height, width, 3)` uint8 in the order red, green, blue.
+        `(height, width)` as it is, or `(height, width, 3)` in the order red, green, blue. Of 16 bits those of
+        a camera keep the upper 8, as OpenCV does it, since visual algorithms take no more; depth keeps all.
 
     Raises:
         AdapterError: It is another type, or its encoding isn't known.
     """
-    if not hasattr(message, "encoding"):
-        return _decode_compressed(message, sensor)
+    image = (
+        _decode_raw(message, sensor) if hasattr(message, "encoding") else _decode_compressed(message, sensor)
+    )
+    return (image >> 8).astype(np.uint8) if image.dtype == np.uint16 and sensor.role != "depth" else image
+
+
+def _decode_raw(message: Any, sensor: Sensor) -> np.ndarray:
     if message.encoding not in IMAGE_TYPES:
         known = ", ".join(IMAGE_TYPES)
         raise AdapterError(f"{sensor.topic} has images encoded {message.encoding}; known are {known}")
     name, channels = IMAGE_TYPES[message.encoding]
     kind = np.dtype((">" if message.is_bigendian else "<") + name)
     shape = (message.height, message.width, channels)
-    strides = (message.step, channels * kind.itemsize, kind.itemsize)
+    # Some drivers state rows of 0 bytes where they aren't padded.
+    step = message.step or message.width * channels * kind.itemsize
+    strides = (step, channels * kind.itemsize, kind.itemsize)
     image = np.ndarray(shape, kind, message.data, 0, strides)
     if channels > 1:
         image = image[:, :, 2::-1] if message.encoding in {"bgr8", "bgra8", "8UC3"} else image[:, :, :3]
     else:
         image = image[:, :, 0]
-    return np.ascontiguousarray(image, kind.newbyteorder("="))
+    image = np.ascontiguousarray(image, kind.newbyteorder("="))
+    pattern = BAYER.get(message.encoding[: len("bayer_rggb")])
+    if pattern is None:
+        return image
+    cv2 = _opencv(f"{sensor.topic} is {message.encoding}")
+    return np.asarray(cv2.cvtColor(image, getattr(cv2, f"COLOR_Bayer{pattern}2RGB")))
+
+
+def _opencv(what: str) -> Any:
+    try:
+        import cv2
+    except ImportError:
+        raise AdapterError(f"{what}, which takes OpenCV to read") from None
+    return cv2
 
 
 def _decode_compressed(message: Any, sensor: Sensor) -> np.ndarray:
     if not hasattr(message, "format"):
         raise AdapterError(f"{sensor.topic} isn't a sensor_msgs/Image or CompressedImage")
-    try:
-        import cv2
-    except ImportError:
-        raise AdapterError(f"{sensor.topic} is compressed, which takes OpenCV to read") from None
-    # A compressed depth image has 12 bytes of parameters before the PNG.
-    data = np.asarray(message.data, np.uint8)[12 if "compressedDepth" in message.format else 0 :]
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    cv2 = _opencv(f"{sensor.topic} is compressed")
+    # compressedDepth has 12 bytes before the PNG: a number of its form, A and B of the quantisation of 32FC1.
+    is_depth = "compressedDepth" in message.format
+    data = np.asarray(message.data, np.uint8)
+    image = cv2.imdecode(data[12 if is_depth else 0 :], cv2.IMREAD_UNCHANGED)
     if image is None:
-        raise AdapterError(f"{sensor.topic} has a compressed image that OpenCV can't read")
+        raise AdapterError(f"{sensor.topic} has a compressed image that OpenCV can't read ({message.format})")
+    if is_depth and message.format.startswith("32FC1"):
+        a, b = np.frombuffer(data[4:12].tobytes(), "<f4").astype(float)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(image > 0, a / (image - b), 0).astype(np.float32)
     return image if image.ndim == 2 else np.ascontiguousarray(image[:, :, 2::-1])
 
 

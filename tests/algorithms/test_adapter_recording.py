@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 NS = 1_000_000_000
 START = 1_600_000_000 * NS
 LIDAR = Sensor("lidar", "/points", "ScanStart", 0, 10.0, np.eye(4), {})
+DEPTH = replace(LIDAR, role="depth")
 CONFIG: dict[str, Any] = {"type": "Lidar", "topic": "/points", "stamp": "ScanStart", "rate": 10.0}
 
 
@@ -259,14 +261,36 @@ def test_decodes_images(maker: Maker, encoding: str, kind: str, channels: int, b
     expected = expected[:, :, 0] if channels == 1 else expected[:, :, :3]
     if encoding.startswith("bgr"):
         expected = expected[:, :, ::-1]
-    image = decode_image(message, LIDAR)
+    image = decode_image(message, DEPTH)
     assert np.array_equal(image, expected)
     assert image.dtype.isnative
 
 
+def test_cameras_have_the_upper_8_of_16_bits(maker: Maker) -> None:
+    values = np.array([[0, 255, 256, 65535]], dtype=np.uint16)
+    raw = maker.image(values.tobytes(), (1, 4), "mono16", 8, big=False)
+    png = np.frombuffer(cv2.imencode(".png", values)[1].tobytes(), np.uint8)
+    kind = "sensor_msgs/msg/CompressedImage"
+    for message in (raw, maker.make(kind, header=maker.header(START), format="png", data=png)):
+        image = decode_image(message, replace(LIDAR, role="camera"))
+        assert image.dtype == np.uint8
+        assert image.tolist() == [[0, 0, 1, 255]]
+        assert decode_image(message, DEPTH).tolist() == values.tolist()
+
+
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+def test_bayer_data_becomes_colours(maker: Maker, pattern: str) -> None:
+    mosaic = np.zeros((8, 8), dtype=np.uint8)
+    for k, letter in enumerate(pattern):
+        mosaic[k // 2 :: 2, k % 2 :: 2] = {"r": 200, "g": 120, "b": 30}[letter]
+    # Rows of 0 bytes, as some drivers state, aren't padded.
+    image = decode_image(maker.image(mosaic.tobytes(), (8, 8), f"bayer_{pattern}8", 0, big=False), LIDAR)
+    assert (image == (200, 120, 30)).all()
+
+
 def test_refuses_images_that_it_does_not_know(maker: Maker) -> None:
-    with pytest.raises(AdapterError, match="encoded bayer_rggb8; known are mono8"):
-        decode_image(maker.image(b"\0" * 4, (2, 2), "bayer_rggb8", 2, big=False), LIDAR)
+    with pytest.raises(AdapterError, match="encoded yuv422; known are mono8"):
+        decode_image(maker.image(b"\0" * 4, (2, 2), "yuv422", 2, big=False), LIDAR)
 
 
 @pytest.mark.parametrize("image", [np.arange(12, dtype=np.uint16).reshape(3, 4), np.eye(4, dtype=np.uint8)])
@@ -275,4 +299,17 @@ def test_decodes_compressed_images(maker: Maker, image: np.ndarray) -> None:
     message = maker.make(
         "sensor_msgs/msg/CompressedImage", header=maker.header(START), format="png", data=data
     )
-    assert np.array_equal(decode_image(message, LIDAR), image)
+    assert np.array_equal(decode_image(message, DEPTH), image)
+
+
+def test_depth_in_metres_is_no_longer_quantised(maker: Maker) -> None:
+    a, b, metres = 10_100.0, 1 - 10_100.0 / 10, np.array([[1.0, 2.0, 9.0]])
+    stored = np.hstack((np.rint(a / metres + b), [[0]])).astype(np.uint16)
+    data = struct.pack("<iff", 0, a, b) + cv2.imencode(".png", stored)[1].tobytes()
+    message = maker.make(
+        "sensor_msgs/msg/CompressedImage", header=maker.header(START), format="32FC1; compressedDepth png",
+        data=np.frombuffer(data, np.uint8),
+    )  # fmt: skip
+    depth = decode_image(message, LIDAR)
+    assert depth.dtype == np.float32
+    assert depth[0] == pytest.approx([*metres[0], 0.0], rel=0.01)

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from bagsamples import HESAI, OUSTER, VELODYNE, write_bag
+from bagsamples import HESAI, OUSTER, VELODYNE, SampleWriter, write_bag
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
@@ -28,7 +28,7 @@ from slamhive.model.dataset import Dataset
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.loading import load_file, parse, to_object
 from slamhive.model.run import InputOptions
-from slamhive.model.sensors import Role
+from slamhive.model.sensors import Camera, Role
 
 LOG = """# CARMEN
 PARAM robot_frontlaser_offset 0.25 nohost 0
@@ -308,6 +308,30 @@ def test_several_of_a_kind_and_clouds_of_a_depth_camera_are_told_apart(
         "camera2": ("Camera", "/cam/up"),
     }
     assert found["groundTruth"]["topic"] == "/vicon/base"
+
+
+def test_compressed_images_are_cameras_as_raw_ones_are(tmp_path: Path) -> None:
+    grey, depth = np.zeros((4, 4), np.uint8), np.full((4, 4), 1500, np.uint16)
+    camera = Camera(width=4, height=4, fx=4.0, fy=4.0, cx=1.5, cy=1.5)
+    with SampleWriter(tmp_path / "a.bag") as bag:
+        for k in range(1, 4):
+            bag.image("/cam/left/image_raw", k * 10**8, "cam", "mono8", grey)
+            bag.compressed("/cam/left/image_raw/compressed", k * 10**8, grey)
+            bag.compressed("/cam/right/image_raw/compressed", k * 10**8, grey, "mono8; jpeg compressed ")
+            bag.compressed("/d4/color/image_raw/compressed", k * 10**8, grey, "rgb8; jpeg compressed bgr8")
+            for name in ("depth", "aligned_depth_to_color"):
+                bag.camera_info(f"/d4/{name}/camera_info", k * 10**8, "cam", camera)
+                topic, described = f"/d4/{name}/image_raw/compressedDepth", "16UC1; compressedDepth png"
+                bag.compressed(topic, k * 10**8, depth, described, bytes(12))
+    found = suggest_dataset(tmp_path / "a.bag", "a", tmp_path).manifest["spec"]["sensors"]
+    assert {name: (one["type"], one["topic"]) for name, one in found.items()} == {
+        "left": ("Camera", "/cam/left/image_raw"),
+        "right": ("Camera", "/cam/right/image_raw/compressed"),
+        "color": ("Camera", "/d4/color/image_raw/compressed"),
+        "depth": ("DepthCamera", "/d4/aligned_depth_to_color/image_raw/compressedDepth"),
+    }
+    assert found["depth"]["camera"]["encoding"] == "16UC1"
+    assert found["depth"]["camera"]["depthScale"] == 1000
 
 
 @pytest.mark.parametrize(

@@ -204,7 +204,7 @@ def _images(
             scale = min(1.0, _WIDE / pixels.shape[1])
             small = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
             colour = getattr(message, "encoding", "bgr8")
-            if small.ndim == 3 and not str(colour).startswith("bgr"):
+            if small.ndim == 3 and not str(colour).startswith(("bgr", "bayer")):
                 small = small[:, :, 2::-1]
             stamp = message.header.stamp
             yield stamp.sec + stamp.nanosec * 1e-9, np.ascontiguousarray(small)

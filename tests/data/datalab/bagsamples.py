@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -59,11 +60,13 @@ def scan(fields: list[tuple[str, str]], stamp: int, *, back: bool = False) -> An
 class SampleWriter(BagWriter):
     """Writes what publishers record beside what importers write."""
 
-    def compressed(self, topic: str, stamp: int, pixels: Any) -> None:
-        """Write a CompressedImage."""
+    def compressed(
+        self, topic: str, stamp: int, pixels: Any, described: str = "png", head: bytes = b""
+    ) -> None:
+        """Write a CompressedImage: what its format says, and what comes before the image."""
         kind = "sensor_msgs/msg/CompressedImage"
-        data = cv2.imencode(".png", pixels)[1].reshape(-1)
-        message = self._types[kind](header=self._header(topic, stamp, "camera"), format="png", data=data)
+        data = compress(pixels, described, head)
+        message = self._types[kind](header=self._header(topic, stamp, "camera"), format=described, data=data)
         self._write(topic, kind, stamp, message)
 
     def fix(self, topic: str, stamp: int) -> None:
@@ -80,6 +83,41 @@ class SampleWriter(BagWriter):
             position_covariance_type=2,
         )
         self._write(topic, kind, stamp, message)
+
+
+def compress(pixels: Any, described: str, head: bytes = b"") -> Any:
+    """Return the data of a CompressedImage: a PNG, or RVL where its format says so."""
+    body = rvl(pixels) if described.endswith("rvl") else cv2.imencode(".png", pixels)[1].tobytes()
+    return np.frombuffer(head + body, dtype=np.uint8)
+
+
+def rvl(depth: Any) -> bytes:
+    """Compress depth as RVL, as its description has it."""
+    groups: list[int] = []
+
+    def number(value: int) -> None:
+        while value > 7:
+            groups.append(value & 7 | 8)
+            value >>= 3
+        groups.append(value)
+
+    values, at, before = depth.reshape(-1).astype(int).tolist(), 0, 0
+    while at < len(values):
+        for has_depth in (False, True):
+            end = at
+            while end < len(values) and bool(values[end]) == has_depth:
+                end += 1
+            number(end - at)
+            for value in values[at:end] if has_depth else ():
+                step, before = value - before, value
+                number(step << 1 if step >= 0 else (-step << 1) - 1)
+            at = end
+    groups += [0] * (-len(groups) % 8)
+    words = [
+        sum(group << 28 - 4 * k for k, group in enumerate(groups[w : w + 8]))
+        for w in range(0, len(groups), 8)
+    ]
+    return struct.pack(f"<ii{len(words)}I", depth.shape[1], depth.shape[0], *words)
 
 
 def write_bag(

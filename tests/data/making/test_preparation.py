@@ -8,8 +8,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from bagsamples import SampleWriter
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Reader
 
@@ -17,7 +19,7 @@ from slamhive.contract.posefiles import FRAMES
 from slamhive.data.making.preparation import evict_variants, prepare
 from slamhive.data.recordings.clouds import cloud_points
 from slamhive.data.recordings.entries import DatasetEntry
-from slamhive.data.recordings.images import image_pixels
+from slamhive.data.recordings.images import compressed_pixels, image_pixels
 from slamhive.model.algorithm import DataFormat
 from slamhive.model.dataset import DataFile, Recording
 from slamhive.model.errors import DataError, InputError
@@ -350,6 +352,24 @@ def test_a_size_that_calibration_does_not_state(tmp_path: Path, frames_of: Any) 
     entry = frames_of(tmp_path / "a.bag", rate=10, count=5, size=(10, 16))
     with pytest.raises(DataError, match=r"states 16×12 pixels, but the images on /cam/image_raw have 16×10"):
         make(entry, [Role.CAMERA], tmp_path / "cache", resolution=0.5)
+
+
+@pytest.mark.parametrize("form", ["png", "rvl"])
+def test_depth_that_few_programs_read_is_prepared_as_png(tmp_path: Path, bag_entry: Any, form: str) -> None:
+    depth = np.arange(12 * 16, dtype=np.uint16).reshape(12, 16) // 3 * 10
+    with SampleWriter(tmp_path / "a.bag") as bag:
+        for k in range(1, 5):
+            bag.image("/color", k * 10**8, "cam", "mono8", np.zeros((12, 16), np.uint8))
+            bag.compressed("/depth", k * 10**8, depth, f"16UC1; compressedDepth {form}", bytes(12))
+    sensors = {"color": ("Camera", "/color"), "depth": ("DepthCamera", "/depth")}
+    entry = bag_entry(tmp_path / "a.bag", sensors)
+    variant = make(entry, RGBD, tmp_path / "cache")
+    messages = [message for _, message in read(variant.path)["/depth"]]
+    assert [message.format for message in messages] == ["16UC1; compressedDepth png"] * 4
+    assert all(np.array_equal(compressed_pixels(message, "/depth"), depth) for message in messages)
+    folder = make(entry, RGBD, tmp_path / "cache", formats=(DataFormat.TUM,)).path
+    files = sorted((folder / "depth").iterdir())
+    assert np.array_equal(cv2.imread(str(files[0]), cv2.IMREAD_UNCHANGED), depth)
 
 
 def test_ground_truth_never_reaches_a_variant(tmp_path: Path, bag_with_truth: Any) -> None:

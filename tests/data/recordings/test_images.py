@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
+import struct
 from dataclasses import replace
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from bagsamples import compress
 from rosbags.typesys import Stores, get_typestore
 
 from slamhive.data.recordings.images import (
+    compressed_pixels,
     image_pixels,
     resize,
     scale_camera,
@@ -118,7 +121,6 @@ def test_byte_order_and_padding_are_understood(big_endian: Any, padding: Any) ->
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"encoding": "bayer_rggb8"}, "raw Bayer data"),
         ({"encoding": "yuv422"}, "unknown encoding 'yuv422'"),
         ({"data": np.zeros(5, dtype=np.uint8)}, "has 5 bytes"),
         ({"step": 2}, "rows of 2"),
@@ -132,6 +134,30 @@ def test_images_that_cannot_be_scaled(change: Any, words: Any) -> None:
         scale_image(message, 0.5, depth=False, where="/cam")
 
 
+def test_bayer_data_becomes_colours() -> None:
+    colour = np.zeros((8, 8, 3), dtype=np.uint8)
+    colour[:] = (30, 120, 200)  # blue, green, red
+    for pattern in ("rggb", "bggr", "gbrg", "grbg"):
+        mosaic = np.zeros((8, 8), dtype=np.uint8)
+        for k, letter in enumerate(pattern):
+            mosaic[k // 2 :: 2, k % 2 :: 2] = colour[0, 0, "bgr".index(letter)]
+        for wide in (1, 257):
+            bits = 8 if wide == 1 else 16
+            message = image(mosaic * np.array(wide, dtype=f"u{bits // 8}"), f"bayer_{pattern}{bits}")
+            assert np.array_equal(image_pixels(message, "x"), colour.astype(int) * wide)
+            scaled = scale_image(message, 0.5, depth=False, where="x")
+            assert (scaled.encoding, scaled.width, scaled.step) == (f"bgr{bits}", 4, 12 * bits // 8)
+    assert scale_camera(CAMERA.replace(encoding="bayer_rggb8"), 0.5).encoding == "bgr8"
+
+
+def test_rows_of_0_bytes_are_not_padded() -> None:
+    pixels = np.arange(12, dtype=np.uint16).reshape(3, 4)
+    message = image(pixels, "mono16")
+    assert np.array_equal(image_pixels(replace(message, step=0), "x"), pixels)
+    with pytest.raises(DataError, match="has 23 bytes in rows of 0"):
+        image_pixels(replace(message, step=0, data=message.data[:-1]), "x")
+
+
 def test_compressed_images_stay_lossless() -> None:
     pixels = np.random.default_rng(1).integers(0, 255, (8, 8, 3), dtype=np.uint8)
     data = cv2.imencode(".png", pixels)[1].reshape(-1)
@@ -140,3 +166,51 @@ def test_compressed_images_stay_lossless() -> None:
     assert np.array_equal(cv2.imdecode(scaled.data, -1), resize(pixels, 0.5, nearest=False))
     with pytest.raises(DataError, match="can't be decoded"):
         scale_compressed(replace(message, data=data[:20]), 0.5, depth=False, where="/cam")
+
+
+DEPTH = np.array([[0, 0, 0, 1500], [1501, 1499, 0, 65535], [1, 0, 9, 9]], dtype=np.uint16)
+
+
+def compressed_depth(stored: Any, described: str, a: float = 0.0, b: float = 0.0) -> Any:
+    data = compress(stored, described, struct.pack("<iff", 0, a, b))
+    return make("ros1", "sensor_msgs/msg/CompressedImage", format=described, data=data)
+
+
+@pytest.mark.parametrize("end", ["", " png", " rvl"])
+def test_compressed_depth_is_what_was_compressed(end: str) -> None:
+    message = compressed_depth(DEPTH, f"16UC1; compressedDepth{end}")
+    assert np.array_equal(compressed_pixels(message, "/depth"), DEPTH)
+    for scale in (1.0, 0.5):
+        scaled = scale_compressed(message, scale, depth=True, where="/depth")
+        assert scaled.format == "16UC1; compressedDepth png"
+        assert np.array_equal(compressed_pixels(scaled, "x"), resize(DEPTH, scale, nearest=True))
+
+
+@pytest.mark.parametrize("end", ["png", "rvl"])
+def test_depth_in_metres_is_no_longer_quantised(end: str) -> None:
+    metres = np.array([[0.5, 1.0, 2.0], [4.0, 8.0, 9.5]])
+    # As compressed_depth_image_transport does it: 1 cm at 1 m, and 10 m at most.
+    a, b = 10_100.0, 1 - 10_100.0 / 10
+    stored = np.rint(a / metres + b).astype(np.uint16)
+    stored[0, 0] = 0
+    message = compressed_depth(stored, f"32FC1; compressedDepth {end}", a, b)
+    for one in (message, scale_compressed(message, 1.0, depth=True, where="/depth")):
+        depth = compressed_pixels(one, "/depth")
+        assert depth.dtype == np.float32
+        assert depth[0, 0] == 0
+        assert depth.reshape(-1)[1:] == pytest.approx(metres.reshape(-1)[1:], rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        (compressed_depth(DEPTH.astype(np.uint8), "16UC1; compressedDepth png"), "PNG of 16 bits, and RVL"),
+        (compressed_depth(DEPTH, "32FC1; compressedDepth png"), "quantised by A = 0"),
+        (compressed_depth(np.ones((4, 4), np.uint16), "16UC1; compressedDepth rvl"), ""),
+    ],
+)
+def test_compressed_depth_that_is_damaged_is_refused(message: Any, words: str) -> None:
+    if not words:
+        message, words = replace(message, data=message.data[:20]), "it ends after 0 of 16 pixels"
+    with pytest.raises(DataError, match=words):
+        compressed_pixels(message, "/depth")

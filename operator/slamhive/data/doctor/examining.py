@@ -6,9 +6,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from slamhive.data.doctor import clocks
+from slamhive.data.doctor.cameras import judge_cameras
 from slamhive.data.doctor.examined import Examined
 from slamhive.data.doctor.files import judge_files, judge_static_transforms
+from slamhive.data.doctor.pictures import Pictures
 from slamhive.data.doctor.watching import WatchedSensor, watch
+from slamhive.model.sensors import SensorType
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -17,16 +20,20 @@ if TYPE_CHECKING:
     from slamhive.data.doctor.watching import MessageWatcher, WatchedRecording
     from slamhive.data.recordings.entries import DatasetEntry
     from slamhive.data.recordings.reading import Recording
-    from slamhive.model.sensors import Sensor, SensorType
+    from slamhive.model.sensors import Sensor
     from slamhive_eval import Trajectory
 
-WATCHERS: Mapping[SensorType, tuple[Callable[[WatchedSensor], MessageWatcher], ...]] = {}
+WATCHERS: Mapping[SensorType, tuple[Callable[[WatchedSensor], MessageWatcher], ...]] = {
+    SensorType.CAMERA: (Pictures,),
+    SensorType.DEPTH_CAMERA: (Pictures,),
+}
 """Watchers by the kind of sensor whose messages they take."""
 
 BETWEEN: tuple[Callable[[Examined], Iterable[Finding]], ...] = (
     judge_files,
     judge_static_transforms,
     clocks.epochs,
+    judge_cameras,
 )
 """Judgements between sensors, between them and the truth, and of the recording's files."""
 

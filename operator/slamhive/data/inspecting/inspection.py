@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.data.doctor.cameras import calibration_findings
 from slamhive.data.doctor.examining import examine
 from slamhive.data.doctor.findings import Severity
 from slamhive.data.recordings.checks import check_content, check_stamps, content_findings
@@ -22,7 +23,7 @@ from slamhive.data.recordings.thinning import rate_of
 from slamhive.data.store.groundtruth import ground_truth, require_overlap, truth_range
 from slamhive.model.dataset import fills, sensor_for
 from slamhive.model.errors import DataError
-from slamhive.model.sensors import ROLES
+from slamhive.model.sensors import ROLES, SensorType
 from slamhive_eval import Relations, Trajectory
 from slamhive_eval.coverage import REFERENCE_GAP_SECONDS
 
@@ -257,13 +258,17 @@ def require_usable(dataset: Dataset, root: Path, cache: Path | None = None) -> l
         for name, sensor in spec.sensors.items():
             check_topic(recording, name, sensor)
         warnings = check_content(recording, spec.sensors)
+        for name, sensor in spec.sensors.items():
+            if sensor.type in {SensorType.CAMERA, SensorType.DEPTH_CAMERA}:
+                found = calibration_findings(recording, name, sensor)
+                warnings += [one.message for one in found if one.severity is not Severity.NOTE]
         if spec.ground_truth is not None and spec.ground_truth.topic is not None:
             check_pose_topic(recording, spec.ground_truth.topic)
         span = _rough_span(recording, spec.sensors)
     if spec.ground_truth is not None and spec.ground_truth.file is not None:
-        found = ground_truth(entry)
-        if found is not None and span is not None:
-            require_overlap(found.poses, *span, where=f"dataset {dataset.name!r}: groundTruth")
+        truth = ground_truth(entry)
+        if truth is not None and span is not None:
+            require_overlap(truth.poses, *span, where=f"dataset {dataset.name!r}: groundTruth")
     check_sums(entry, cache)
     return warnings
 

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from slamhive.data.recordings.reading import Scan
 
 _SIDES = (("left", "right"), ("cam0", "cam1"), ("infra1", "infra2"), ("image_00", "image_01"))
+_REGISTERED = re.compile("registered|aligned")
+_DEPTHS = ("16UC1", "32FC1")
 _DEPTH_CLOUD = re.compile("depth|camera|color|rgb|registered", re.IGNORECASE)
 _WHEELS = re.compile("odom|wheel|encoder", re.IGNORECASE)
 _LOOKED_AT, _SHOWN_FRAMES = 1000, 20
@@ -180,8 +182,17 @@ class _Look:
         return [topic.name for topic in sorted(found, key=lambda topic: (-topic.count, topic.name))]
 
     def _cameras(self) -> dict[str, tuple[SensorType, str]]:
-        images = self._of_type(kinds.IMAGE) or self._of_type(kinds.COMPRESSED_IMAGE)
-        depth = [topic for topic in images if self._is_depth(topic)]
+        # A topic that was recorded raw and compressed is one camera's; lossless is better than JPEG.
+        images, seen = [], set()
+        for topic in (
+            *self._of_type(kinds.IMAGE),
+            *sorted(self._of_type(kinds.COMPRESSED_IMAGE), key=_is_lossy),
+        ):
+            if _plain(topic) not in seen:
+                seen.add(_plain(topic))
+                images.append(topic)
+        # Depth that was brought to the colour camera's pixels comes first.
+        depth = sorted(filter(self._is_depth, images), key=lambda topic: not _REGISTERED.search(topic))
         others = [topic for topic in images if topic not in depth]
         roles: dict[str, str] = {}
         if depth and others:
@@ -203,9 +214,11 @@ class _Look:
         }
 
     def _is_depth(self, topic: str) -> bool:
+        message = self.recording.first(topic)
         if self.recording.topics[topic].message_type == kinds.IMAGE:
-            return self.recording.first(topic).encoding in ("16UC1", "32FC1")
-        return "depth" in topic
+            return message.encoding in _DEPTHS
+        is_png = "jp" not in message.format.lower()
+        return message.format.startswith(_DEPTHS) or (is_png and "depth" in topic)
 
     def _modes(self, types: dict[str, SensorType]) -> None:
         """Note which modes the sensors serve, and what the others lack."""
@@ -317,8 +330,9 @@ class _Look:
             "cx": float(k[2]),
             "cy": float(k[5]),
         }
-        if hasattr(message, "encoding"):
-            camera["encoding"] = str(message.encoding)
+        found = _encoding_of(message)
+        if found:
+            camera["encoding"] = found
         if len(d) and np.any(d):
             if stated.distortion_model not in _MODELS:
                 self.notes.append(f"{where}.distortion: {stated.distortion_model!r} is not known here")
@@ -326,7 +340,7 @@ class _Look:
             camera["coefficients"] = [float(number) for number in d[:8]]
         if role == "depth":
             self.notes.append(f"{where}.depthScale: 1000 (millimetres) is a guess; TUM RGB-D has 5000")
-            camera["depthScale"] = 1 if message.encoding == "32FC1" else 1000
+            camera["depthScale"] = 1 if found == "32FC1" else 1000
         return {"camera": camera}
 
     def _truth(self) -> dict[str, Any] | None:
@@ -359,6 +373,23 @@ def _frame_of(message: Any) -> str:
     return str(name).lstrip("/")
 
 
+def _encoding_of(message: Any) -> str:
+    """Return the encoding of images, of compressed depth that of what was compressed; empty if not known."""
+    if hasattr(message, "encoding"):
+        return str(message.encoding)
+    stated = str(message.format.split(";")[0].strip())
+    return stated if stated in _DEPTHS else ""
+
+
+def _plain(topic: str) -> str:
+    """Return the topic of raw images to which a topic of compressed ones belongs (image_transport)."""
+    return topic.removesuffix("/compressedDepth").removesuffix("/compressed")
+
+
+def _is_lossy(topic: str) -> bool:
+    return not topic.endswith("/compressedDepth")
+
+
 def _names(role: Role, count: int) -> list[str]:
     """Return names for several sensors of a kind; the first ones are roles."""
     return [str(role) if number == 1 else f"{role}{number}" for number in range(1, count + 1)]
@@ -366,11 +397,12 @@ def _names(role: Role, count: int) -> list[str]:
 
 def _pair(topics: list[str]) -> tuple[str, str] | None:
     """Return a stereo pair among topics of images, by their names."""
+    plain = {_plain(topic): topic for topic in topics}
     for left, right in _SIDES:
-        for topic in topics:
-            partner = topic.replace(left, right)
-            if left in topic and partner in topics:
-                return topic, partner
+        for name, topic in plain.items():
+            partner = name.replace(left, right)
+            if left in name and partner in plain:
+                return topic, plain[partner]
     return None
 
 

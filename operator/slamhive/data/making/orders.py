@@ -182,7 +182,7 @@ def make_recording(
     """
     # With OpenCV and writers of bags, half a second: for those alone who make a recording.
     from slamhive.data.making.folders import write_folder  # noqa: PLC0415
-    from slamhive.data.making.transfer import transfer  # noqa: PLC0415
+    from slamhive.data.making.transfer import is_decoded, transfer  # noqa: PLC0415
 
     entry, wish, target = order.entry, order.wish, order.target
     path = folder / FILE_NAMES[target]
@@ -194,6 +194,7 @@ def make_recording(
         selection = select(recording, streams, wish, _share(progress, 0.0, 0.3))
         original = recording_paths(entry.dataset, entry.root)
         whole = {stream.topic for stream in streams} == set(recording.topics)
+        whole = whole and not any(is_decoded(recording, stream) for stream in streams)
         report = _share(progress, 0.3, 1.0)
         if order.folder is not None:
             selection = complete_frames(selection)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from slamhive.data.recordings import kinds
 from slamhive.data.recordings.clouds import cloud_filter, filter_cloud
-from slamhive.data.recordings.images import scale_camera_info, scale_compressed, scale_image
+from slamhive.data.recordings.images import is_rvl, scale_camera_info, scale_compressed, scale_image
 from slamhive.data.recordings.streams import TopicKind
 from slamhive.data.recordings.writing import RecordingWriter
 from slamhive.model.errors import DataError
@@ -109,7 +109,7 @@ def _rule(recording: Recording, stream: Stream, changes: Changes) -> Change | No
     if changes.lidar is not None and stream.declared and stream.declared.type is SensorType.LIDAR:
         kept, _ = cloud_filter(changes.lidar, stream.declared.lidar, stream.sensor or "")
         return None if kept.is_idle else changed(lambda message: filter_cloud(message, kept, where))
-    if scale == 1.0:
+    if scale == 1.0 and not is_decoded(recording, stream):
         return None
     match kind:
         case kinds.IMAGE:
@@ -119,6 +119,13 @@ def _rule(recording: Recording, stream: Stream, changes: Changes) -> Change | No
         case kinds.CAMERA_INFO:
             return changed(lambda message: scale_camera_info(message, scale, where))
     return None
+
+
+def is_decoded(recording: Recording, stream: Stream) -> bool:
+    """Tell whether the images of a stream are written anew at any scale, as algorithms can't read them."""
+    is_depth = stream.kind is not TopicKind.INFO and stream.depth
+    compressed = is_depth and stream.message_type == kinds.COMPRESSED_IMAGE
+    return compressed and is_rvl(recording.first(stream.topic))
 
 
 def _image(stream: Stream, message: Any, scale: float, where: str) -> Any:

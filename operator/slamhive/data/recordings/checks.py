@@ -10,9 +10,8 @@ import numpy as np
 from slamhive.data.recordings import kinds, samples
 from slamhive.data.recordings.clouds import cloud_points, point_times
 from slamhive.data.recordings.samples import SensorLook
-from slamhive.data.recordings.streams import camera_info_topic
 from slamhive.model.errors import DataError, suggestion
-from slamhive.model.sensors import SensorType, TimesSince
+from slamhive.model.sensors import TimesSince
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -119,52 +118,29 @@ def content_findings(
 
 
 def _image(look: SensorLook) -> str:
-    sensor, where, errors, warnings = look.sensor, look.where, look.errors, look.warnings
+    sensor, where, errors = look.sensor, look.where, look.errors
     message = look.first()
     camera = sensor.camera
-    if camera is None:
-        warnings.append(f"{where}.camera: no intrinsics are given, which most algorithms need")
-        return f"{message.width}×{message.height} {message.encoding}"
-    if (message.width, message.height) != (camera.width, camera.height):
+    if camera is not None and (message.width, message.height) != (camera.width, camera.height):
         errors.append(
             f"{where}.camera: states {camera.width}×{camera.height} pixels, but the images on "
             f"{sensor.topic} have "
             f"{message.width}×{message.height}"
         )
-    if message.encoding != camera.encoding:
-        warnings.append(
-            f"{where}.camera.encoding: states {camera.encoding}, but the images on {sensor.topic} are "
-            f"{message.encoding}"
-        )
-    if not (0 <= camera.cx < camera.width and 0 <= camera.cy < camera.height):
-        warnings.append(
-            f"{where}.camera: the principal point ({camera.cx:g}, {camera.cy:g}) lies outside of the image "
-            f"of "
-            f"{camera.width}×{camera.height}"
-        )
-    if sensor.type is SensorType.DEPTH_CAMERA and camera.depth_scale is None:
-        warnings.append(
-            f"{where}.camera.depthScale: not given; 1000 (millimetres) is common, TUM RGB-D has 5000"
-        )
-    info = camera_info_topic(look.recording, sensor.topic)
-    if info is not None:
-        stated = look.recording.first(info)
-        k = np.reshape(stated.K if hasattr(stated, "K") else stated.k, (3, 3))
-        given = (camera.fx, camera.fy, camera.cx, camera.cy)
-        found = (k[0, 0], k[1, 1], k[0, 2], k[1, 2])
-        if k.any() and not np.allclose(given, found, rtol=0.005, atol=0.5):
-            texts = [", ".join(f"{number:g}" for number in numbers) for numbers in (given, found)]
-            warnings.append(f"{where}.camera: fx, fy, cx, cy are {texts[0]}, but {info} says {texts[1]}")
     return f"{message.width}×{message.height} {message.encoding}"
 
 
 def _compressed(look: SensorLook) -> str:
-    import cv2  # noqa: PLC0415 - for those who look into recordings alone
+    # With OpenCV: for those who look into recordings alone.
+    from slamhive.data.recordings.images import compressed_pixels, is_compressed_depth  # noqa: PLC0415
 
     sensor, message = look.sensor, look.first()
-    pixels = cv2.imdecode(message.data, cv2.IMREAD_UNCHANGED) if message.data.size else None
-    if pixels is None:
-        # Other transports, such as compressedDepth, are the algorithm's own business at full resolution.
+    try:
+        pixels = compressed_pixels(message, f"{look.where}: {sensor.topic} in {look.recording.label}")
+    except DataError:
+        if is_compressed_depth(message):
+            raise
+        # Other transports are the algorithm's own business at full resolution.
         return f"compressed as {message.format!r}"
     height, width = pixels.shape[:2]
     camera = sensor.camera

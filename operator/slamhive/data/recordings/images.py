@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Images at a lower resolution, and the calibration that goes with them."""
+"""Images: their pixels, raw or compressed, and images at a lower resolution with their calibration."""
 
 from __future__ import annotations
 
+import struct
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +33,19 @@ ENCODINGS: dict[str, tuple[str, int]] = {
     "32FC1": ("f4", 1),
 }
 """Pixel type and channels of the encodings that are read."""
+_TO_BGR = {
+    # OpenCV names a pattern by the second pixels of its second row.
+    "bayer_rggb": cv2.COLOR_BayerBG2BGR,
+    "bayer_bggr": cv2.COLOR_BayerRG2BGR,
+    "bayer_gbrg": cv2.COLOR_BayerGR2BGR,
+    "bayer_grbg": cv2.COLOR_BayerGB2BGR,
+}
+BAYER = {f"{pattern}{bits}": (f"u{bits // 8}", 1) for pattern in _TO_BGR for bits in (8, 16)}
+"""Pixel type and channels of raw data of sensors with colour filters; colours are made of it."""
+_DEPTH_HEAD = struct.Struct("<iff")
+"""Head of a compressedDepth image: a number of its form, and A and B of the quantisation of 32FC1."""
+_MOST_PIXELS = 2**24
+"""Pixels of a depth image at most: a few bytes of RVL could ask for all memory."""
 
 
 def scaled_size(width: int, height: int, scale: float) -> tuple[int, int]:
@@ -64,6 +78,7 @@ def scale_camera(camera: Camera, scale: float) -> Camera:
     return camera.replace(
         width=width,
         height=height,
+        encoding=_scaled_encoding(camera.encoding),
         fx=camera.fx * sx,
         fy=camera.fy * sy,
         cx=(camera.cx + 0.5) * sx - 0.5,
@@ -127,6 +142,7 @@ def scale_image(message: Any, scale: float, *, depth: bool, where: str) -> Any:
     rows = scaled.view(np.uint8).reshape(len(scaled), -1)
     return replace(
         message,
+        encoding=_scaled_encoding(message.encoding),
         height=scaled.shape[0],
         width=scaled.shape[1],
         step=rows.shape[1],
@@ -135,55 +151,159 @@ def scale_image(message: Any, scale: float, *, depth: bool, where: str) -> Any:
     )
 
 
+def _scaled_encoding(encoding: str) -> str:
+    """Return the encoding of scaled images: Bayer data becomes colours."""
+    return ("bgr16" if encoding.endswith("16") else "bgr8") if encoding in BAYER else encoding
+
+
 def image_pixels(message: Any, where: str) -> npt.NDArray[Any]:
     """Return the pixels of a sensor_msgs/Image, (height, width[, channels]), in native byte order.
+
+    Bayer data becomes colours, as BGR. Rows of 0 bytes, as some drivers state, are rows without padding.
 
     Raises:
         DataError: Its encoding isn't known, or it is damaged.
     """
-    if message.encoding not in ENCODINGS:
-        kind = "raw Bayer data" if message.encoding.startswith("bayer") else "of an unknown encoding"
+    known = ENCODINGS | BAYER
+    if message.encoding not in known:
         raise DataError(
-            f"{where}: images are {kind} ({message.encoding!r}) and can't be read; allowed: "
-            f"{', '.join(ENCODINGS)}"
+            f"{where}: images are of an unknown encoding ({message.encoding!r}) and can't be read; allowed: "
+            f"{', '.join(known)}"
         )
-    letter, channels = ENCODINGS[message.encoding]
+    letter, channels = known[message.encoding]
     order = ">" if message.is_bigendian else "<"
     used = message.width * channels * int(letter[1])
-    if message.step < used or message.data.size < message.step * message.height or used == 0:
+    step = message.step or used
+    if step < used or message.data.size < step * message.height or used == 0:
         raise DataError(
             f"{where}: an image of {message.width}×{message.height} {message.encoding} has "
             f"{message.data.size} bytes in rows of {message.step}; {used * message.height} are needed"
         )
-    rows = message.data[: message.step * message.height].reshape(message.height, message.step)[:, :used]
+    rows = message.data[: step * message.height].reshape(message.height, step)[:, :used]
     pixels = np.ascontiguousarray(rows).view(f"{order}{letter}")
     shape = (message.height, message.width) if channels == 1 else (message.height, message.width, channels)
-    return pixels.reshape(shape).astype(letter, copy=False)
+    pixels = pixels.reshape(shape).astype(letter, copy=False)
+    pattern = message.encoding[: len("bayer_rggb")]
+    return cv2.cvtColor(pixels, _TO_BGR[pattern]) if pattern in _TO_BGR else pixels
 
 
 def scale_compressed(message: Any, scale: float, *, depth: bool, where: str) -> Any:
     """Return a sensor_msgs/CompressedImage at a lower resolution, compressed without loss (PNG).
 
+    A compressedDepth image stays one, with its quantisation; at scale 1 this is a change from RVL to PNG.
+
     Raises:
         DataError: It can't be decoded.
     """
-    scaled = resize(compressed_pixels(message, where), scale, nearest=depth)
-    encoded = cv2.imencode(".png", scaled, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
-    described = message.format.split(";")[0] + "; png compressed" if ";" in message.format else "png"
-    return replace(message, format=described, data=encoded.reshape(-1))
+    if is_compressed_depth(message):
+        stored = resize(_stored_depth(message, where), scale, nearest=True)
+        head, described = message.data[: _DEPTH_HEAD.size], f"{depth_encoding(message)}; compressedDepth png"
+    else:
+        stored = resize(compressed_pixels(message, where), scale, nearest=depth)
+        head = np.empty(0, dtype=np.uint8)
+        described = message.format.split(";")[0] + "; png compressed" if ";" in message.format else "png"
+    encoded = cv2.imencode(".png", stored, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
+    return replace(message, format=described, data=np.concatenate((head, encoded.reshape(-1))))
 
 
 def compressed_pixels(message: Any, where: str) -> npt.NDArray[Any]:
     """Return the pixels of a sensor_msgs/CompressedImage, (height, width[, channels]), colours as BGR.
 
+    Depth of compressedDepth is what was compressed: uint16 of 16UC1, float32 in m of 32FC1, quantised by
+    compressed_depth_image_transport as A / depth + B; 0 is no depth.
+
     Raises:
         DataError: It can't be decoded.
     """
-    pixels = None
-    if "compressedDepth" not in message.format and message.data.size:
-        pixels = cv2.imdecode(message.data, cv2.IMREAD_UNCHANGED)
+    if is_compressed_depth(message):
+        stored = _stored_depth(message, where)
+        if depth_encoding(message) != "32FC1":
+            return stored
+        _, a, b = _DEPTH_HEAD.unpack_from(message.data)
+        # A 0 in A would make all depths 0, which says that there are none.
+        if not a > 0 or not np.isfinite((a, b)).all():
+            raise DataError(f"{where}: depth ({message.format!r}) is quantised by A = {a:g}, B = {b:g}")
+        with np.errstate(divide="ignore", invalid="ignore"):
+            depth = a / (stored - np.float64(b))
+        return np.where((stored > 0) & np.isfinite(depth), depth, 0).astype(np.float32)
+    pixels = cv2.imdecode(message.data, cv2.IMREAD_UNCHANGED) if message.data.size else None
     if pixels is None:
         raise DataError(
             f"{where}: a compressed image ({message.format!r}) can't be decoded; allowed: JPEG and PNG"
         )
     return pixels
+
+
+def is_compressed_depth(message: Any) -> bool:
+    """Tell whether a message is a CompressedImage of compressed_depth_image_transport."""
+    return "compressedDepth" in getattr(message, "format", "")
+
+
+def is_rvl(message: Any) -> bool:
+    """Tell whether a message is depth compressed as RVL, which few programs read."""
+    return is_compressed_depth(message) and message.format.strip().endswith("rvl")
+
+
+def depth_encoding(message: Any) -> str:
+    """Return the encoding of what a compressed depth image was made of, such as 16UC1."""
+    return str(message.format.split(";")[0].strip())
+
+
+def _stored_depth(message: Any, where: str) -> npt.NDArray[np.uint16]:
+    """Return the numbers that a compressedDepth image holds, (height, width), 32FC1 as quantised.
+
+    Raises:
+        DataError: It is damaged, or compressed in another way than as PNG or RVL.
+    """
+    body = message.data[_DEPTH_HEAD.size :]
+    try:
+        if is_rvl(message):
+            return _rvl(body)
+        stored = cv2.imdecode(body, cv2.IMREAD_UNCHANGED) if body.size else None
+    except ValueError as error:
+        raise DataError(f"{where}: depth ({message.format!r}) is damaged: {error}") from None
+    if stored is None or stored.dtype != np.uint16 or stored.ndim != 2:
+        raise DataError(
+            f"{where}: depth ({message.format!r}) can't be decoded; allowed: PNG of 16 bits, and RVL, each "
+            f"after a head of {_DEPTH_HEAD.size} bytes"
+        )
+    return stored.astype(np.uint16, copy=False)
+
+
+def _rvl(data: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint16]:
+    """Decode depth of run lengths and variable lengths (Wilson, Fast Lossless Depth Image Compression, 2017).
+
+    Numbers are groups of 4 bits, the lowest first, each 3 bits and one that says that another follows; eight
+    groups are in a 32-bit word, the first in its highest bits. Numbers of pixels without and with depth take
+    turns; after the latter come the differences of those depths, 0, -1, 1, -2 … as 0, 1, 2, 3 …
+
+    Args:
+        data: Width and height as int32, then the words.
+
+    Raises:
+        ValueError: Pixels are missing or too many.
+    """
+    width, height = struct.unpack_from("<ii", data.tobytes()) if data.size >= 8 else (0, 0)
+    if not (width > 0 and height > 0 and width * height <= _MOST_PIXELS):
+        raise ValueError(f"an image of {width}×{height} pixels")
+    words = np.frombuffer(data[8 : 8 + (data.size - 8) // 4 * 4].tobytes(), dtype="<u4")
+    groups = (words[:, None] >> np.arange(28, -1, -4, dtype=np.uint32) & 15).reshape(-1).astype(np.int64)
+    ends = np.flatnonzero(groups < 8)
+    starts = np.concatenate(([0], ends[:-1] + 1)) if ends.size else ends
+    groups = groups[: ends[-1] + 1] if ends.size else groups[:0]
+    place = np.arange(len(groups)) - np.repeat(starts, ends - starts + 1)
+    # A number has at most 6 groups: 17 bits of a difference, or the number of pixels.
+    numbers = np.add.reduceat((groups & 7) << 3 * np.minimum(place, 10), starts) if starts.size else groups
+    steps, known = np.zeros(width * height, dtype=np.int64), np.zeros(width * height, dtype=bool)
+    at = k = 0
+    while at < len(steps):
+        if k + 1 >= len(numbers):
+            raise ValueError(f"it ends after {at} of {len(steps)} pixels")
+        at, count = at + int(numbers[k]), int(numbers[k + 1])
+        coded = numbers[k + 2 : k + 2 + count]
+        if at + count > len(steps) or len(coded) < count:
+            raise ValueError(f"a run of {count} pixels after {at} of {len(steps)}")
+        steps[at : at + count], known[at : at + count] = coded >> 1 ^ -(coded & 1), True
+        at, k = at + count, k + 2 + count
+    steps[known] = np.cumsum(steps[known])
+    return steps.astype(np.uint16).reshape(height, width)
