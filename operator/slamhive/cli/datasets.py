@@ -491,15 +491,14 @@ def _print_report(report: DatasetReport) -> None:
 
 
 def _print_findings(report: DatasetReport) -> None:
-    """Print what is noted, then what may be wrong, then what is, each with its code and its repair."""
+    """Print what is noted, then what may be wrong, then what is, each with its code."""
     known = {finding.message: finding for finding in report.findings}
 
     def text(message: str) -> str:
         finding = known.get(message)
         if finding is None:
             return message
-        repair = f"\n  put into the spec: {finding.repair_line}" if finding.repair else ""
-        return f"{message} ({finding.code}){repair}"
+        return f"{message} ({finding.code})"
 
     for finding in report.findings:
         if finding.severity == "note":

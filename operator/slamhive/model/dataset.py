@@ -10,7 +10,6 @@ from pydantic import BeforeValidator, Field, model_validator
 from slamhive.model.algorithm import RecordingFormat, RelativePath
 from slamhive.model.base import CATALOGUE_TITLE, HTTPS, Choice, Model, Resource, Scalar, Sha256, optional
 from slamhive.model.errors import InputError, suggestion
-from slamhive.model.repair import Repair
 from slamhive.model.sensors import ROLE_TYPES, STAND_INS, Extrinsics, Role, Sensor, SensorType
 from slamhive.model.synthetic import SyntheticRecording
 from slamhive_eval.errors import OptionError
@@ -221,9 +220,6 @@ class DatasetSpec(Model):
         "brings its own, and where no topic of the recording is a sensor's.",
     )
     ground_truth: GroundTruth | None = Field(default=None, description="Reference poses.")
-    repair: Repair | None = optional(
-        "What the preparation changes in the recording's messages, and in the stamps of its ground truth."
-    )
     gravity_aligned: bool = Field(default=False, description="Whether the ground truth's z axis points up.")
     attributes: dict[str, Scalar] = Field(
         default_factory=dict, description="Free attributes to select and plot by, such as loops: 2."
@@ -249,18 +245,6 @@ class DatasetSpec(Model):
             raise ValueError(
                 f"groundTruth.frame: unknown frame {truth.frame!r}{suggestion(truth.frame, known)}"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _repairs_what_it_has(self) -> Self:
-        if self.repair is None:
-            return self
-        if unknown := sorted(set(self.repair.sensors) - set(self.sensors)):
-            raise ValueError(
-                f"repair.sensors: unknown sensor {unknown[0]!r}{suggestion(unknown[0], self.sensors)}"
-            )
-        if self.repair.ground_truth is not None and self.ground_truth is None:
-            raise ValueError("repair.groundTruth: the dataset has no ground truth")
         return self
 
     @property

@@ -32,7 +32,7 @@ _COEFFICIENTS = 5
 
 
 def judge_cameras(examined: Examined) -> Iterator[Finding]:
-    """Yield what is wrong with the cameras of a recording, and between them."""
+    """Yield the findings of the cameras of a recording, and between them."""
     sensors = examined.entry.dataset.spec.sensors
     for name in examined.watched.watchers:
         if sensors[name].type in {SensorType.CAMERA, SensorType.DEPTH_CAMERA}:
@@ -43,7 +43,7 @@ def judge_cameras(examined: Examined) -> Iterator[Finding]:
 
 
 def calibration_findings(recording: Recording, name: str, sensor: Sensor) -> Iterator[Finding]:
-    """Yield where a camera's intrinsics can't be right, or aren't those of its ``camera_info``.
+    """Yield the intrinsics of a camera that can't be right, or aren't those of its ``camera_info``.
 
     Args:
         recording: The recording, with the sensor's topic in it.
@@ -86,7 +86,7 @@ def calibration_findings(recording: Recording, name: str, sensor: Sensor) -> Ite
 def _against_info(
     name: str, camera: Camera, size: tuple[int, int], stated: Any, info: str
 ) -> Iterator[Finding]:
-    """Yield where the CameraInfo of images of a size (width, height) isn't what the manifest says."""
+    """Yield the values of a CameraInfo that the manifest of images of a size (width, height) contradicts."""
     k, d = _lens(stated)
     if np.any(d[8:]):
         rest = len(d) - 8
@@ -155,7 +155,7 @@ def _repeated(examined: Examined) -> Iterator[Finding]:
 
 
 def _stereo(examined: Examined) -> Iterator[Finding]:
-    """Yield where the images of a pair are stamped apart."""
+    """Yield the shift between the stamps of a pair's images, where there is one."""
     sensors, scans = examined.entry.dataset.spec.sensors, examined.watched.scans
     pair = [sensors[name] for name in (Role.LEFT, Role.RIGHT) if name in sensors]
     if len(pair) < 2 or any(sensor.topic not in scans for sensor in pair):
@@ -193,7 +193,7 @@ def _stereo(examined: Examined) -> Iterator[Finding]:
 
 
 def _registered(examined: Examined) -> Iterator[Finding]:
-    """Yield where depth isn't that of the colour camera's pixels."""
+    """Yield the signs that depth isn't that of the colour camera's pixels."""
     spec, recording = examined.entry.dataset.spec, examined.recording
     color, depth = spec.sensors.get("color"), spec.sensors.get("depth")
     if color is None or depth is None or not {color.topic, depth.topic} <= set(examined.watched.scans):

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Findings: what is wrong with a recording, under a stable code, with the line that repairs it."""
+"""Findings: what is wrong with a recording, under a stable code."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +33,8 @@ class Finding:
         first: Sensor time of the first of them, s.
         value: What was measured, in ``unit``.
         unit: Unit of the value.
-        repair: What to add to the Dataset's spec; empty where no line of the manifest helps.
+        repair: The change of the sensor's messages that would undo it, for a preparation that repairs; empty
+            where none does.
     """
 
     code: str
@@ -47,13 +47,6 @@ class Finding:
     unit: str | None = None
     repair: Mapping[str, Any] = field(default_factory=dict)
 
-    @property
-    def repair_line(self) -> str | None:
-        """Return the repair as one line of YAML, to be put into the spec; None where there is none."""
-        if not self.repair:
-            return None
-        return ", ".join(f"{key}: {json.dumps(value)}" for key, value in self.repair.items())
-
     def as_json(self) -> dict[str, Any]:
         """Return the finding as plain values."""
         return {
@@ -65,15 +58,9 @@ class Finding:
             "value": self.value,
             "unit": self.unit,
             "message": self.message,
-            "repair": self.repair_line,
         }
 
 
 def sensor_repair(sensor: str, **repair: Any) -> dict[str, Any]:
-    """Return the repair of a sensor's messages, for `Finding.repair`; keys as in `slamhive.model.repair`."""
+    """Return the repair of a sensor's messages, for `Finding.repair`."""
     return {"repair": {"sensors": {sensor: repair}}}
-
-
-def truth_repair(**repair: Any) -> dict[str, Any]:
-    """Return the repair of the ground truth, for `Finding.repair`."""
-    return {"repair": {"groundTruth": repair}}

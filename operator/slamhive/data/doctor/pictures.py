@@ -82,7 +82,7 @@ class Pictures(MessageWatcher):
             self._flat.append((message.index, message.stamp))
 
     def findings(self) -> Iterator[Finding]:
-        """Yield what is wrong with the images."""
+        """Yield the findings of the images."""
         yield from self._encodings()
         yield from self._nothing_seen()
         if self.is_depth:
@@ -227,10 +227,8 @@ class Pictures(MessageWatcher):
     def _unit(self) -> Iterator[Finding]:
         if not self._depths:
             return
-        repair = self.of.spec.repair.sensors.get(self.of.name) if self.of.spec.repair else None
         camera = self.of.sensor.camera
-        scale = repair.depth_scale if repair else None
-        scale = scale or (camera.depth_scale if camera else None)
+        scale = camera.depth_scale if camera else None
         found, full = float(np.median(self._depths)), float(np.median(self._full))
         fitting = [one for one in _SCALES[self._letter] if _LIKELY[0] < found / one < _LIKELY[1]]
         # Depths in 65535ths of a metre are at the end of 16 bits from 1 m on.
