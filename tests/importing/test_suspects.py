@@ -30,7 +30,7 @@ def test_a_truth_that_is_wrong_for_a_while_is_suspected(
         assert outcome.exit_code == 0, outcome.output
         return outcome.stdout
 
-    one = ("suspects", "--where", "dataset = 'mh-01-easy'", "--json")
+    one = ("suspects", "--where", "dataset == 'mh-01-easy'", "--json")
     [clean] = json.loads(call(*one))
     assert clean["found"]["systems"] == ["orb-slam2", "orb-slam3", "vins-fusion", "vins-mono"]
     assert clean["found"]["stretches"] == []

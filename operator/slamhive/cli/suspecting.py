@@ -32,7 +32,7 @@ def show_suspects(
 ) -> None:
     """Say where runs of three systems or more agree with each other and not with the ground truth.
 
-    Example: slamhive results suspects --where "dataset = 'hall'"
+    Example: slamhive results suspects --where "dataset == 'hall'"
     """
     from slamhive.bridges.places import Here
 
