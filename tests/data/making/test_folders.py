@@ -597,7 +597,6 @@ def test_what_a_form_can_not_hold_is_refused(
     ("form", "encoding", "pixels", "sentence"),
     [
         (EUROC, "32FC1", np.zeros((12, 16), np.float32), "32FC1 have no place .*8 or 16 bits"),
-        (EUROC, "bayer_rggb8", np.zeros((12, 16), np.uint8), "raw Bayer data .*can't be read"),
         (KITTI, "mono8", np.zeros((6, 8), np.uint8), "states 16×12 pixels, but the images .*8×6"),
     ],
 )
