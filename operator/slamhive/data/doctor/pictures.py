@@ -44,7 +44,7 @@ _SCALES = {"f": (1.0, 1000.0), "u": (1.0, 1000.0, 5000.0, 10_000.0)}
 
 
 class Pictures(MessageWatcher):
-    """MessageWatcher of the images of a camera or depth camera."""
+    """Watcher of the images of a camera or depth camera."""
 
     def __init__(self, of: WatchedSensor) -> None:
         super().__init__(of)

@@ -7,21 +7,19 @@ from what their watchers gathered.
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from slamhive.data.recordings.reading import Scan
 from slamhive.model.errors import DataError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
+    from rosbags.interfaces import Connection
+
     from slamhive.data.doctor.findings import Finding
-    from slamhive.data.recordings.reading import Recording
+    from slamhive.data.recordings.reading import Recording, Scan
     from slamhive.model.dataset import DatasetSpec
     from slamhive.model.sensors import Sensor
 
@@ -134,41 +132,21 @@ def watch(
     Raises:
         DataError: The recording is damaged.
     """
-    names = sorted(set(topics.values()))
-    by_topic = {topic: [name for name in topics if topics[name] == topic] for topic in names}
-    living = {topic: [one for name in by_topic[topic] for one in watchers.get(name, ())] for topic in names}
-    readers = {topic: recording.stamp_reader(recording.topics[topic].message_type) for topic in names}
-    times: dict[str, list[int]] = {topic: [] for topic in names}
-    stamps: dict[str, list[int]] = {topic: [] for topic in names}
-    sizes = dict.fromkeys(names, 0)
+    names = set(topics.values())
+    living = {
+        topic: [one for name in topics if topics[name] == topic for one in watchers.get(name, ())]
+        for topic in names
+    }
     broken: list[str] = []
-    total = max(1, sum(recording.topics[topic].count for topic in names))
-    for number, (connection, time, raw) in enumerate(recording.messages(names)):
-        topic = connection.topic
-        reader = readers[topic]
-        try:
-            stamp = time if reader is None else reader(raw)
-        except struct.error:
-            raise DataError(
-                f"{recording.label}: {topic}: message {len(times[topic]) + 1} is cut off after "
-                f"{len(raw)} bytes"
-            ) from None
-        message = PassingMessage(
-            len(times[topic]), time, stamp, raw, partial(recording.decode, message_type=connection.msgtype)
-        )
-        times[topic].append(time)
-        stamps[topic].append(stamp)
-        sizes[topic] += len(raw)
-        for watcher in living[topic][:]:
+
+    def see(connection: Connection, index: int, time: int, stamp: int, raw: bytes) -> None:
+        decode = partial(recording.decode, message_type=connection.msgtype)
+        message = PassingMessage(index, time, stamp, raw, decode)
+        for watcher in living[connection.topic][:]:
             try:
                 watcher.take(message)
             except DataError as error:
-                living[topic].remove(watcher)
-                broken.append(f"{watcher.of.where}: message {message.index + 1}: {error}")
-        if progress and number % 64 == 0:
-            progress(min(1.0, number / total))
-    scans = {
-        topic: Scan(np.array(times[topic]), np.array(stamps[topic]), readers[topic] is not None, sizes[topic])
-        for topic in names
-    }
-    return WatchedRecording(scans, watchers, broken)
+                living[connection.topic].remove(watcher)
+                broken.append(f"{watcher.of.where}: message {index + 1}: {error}")
+
+    return WatchedRecording(recording.scan(names, progress, see), watchers, broken)

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
     from slamhive.data.doctor.findings import Finding
     from slamhive.data.recordings.reading import Recording, Scan
+    from slamhive.data.store.groundtruth import GroundTruthPoses
     from slamhive.model.dataset import Dataset, DatasetSpec
     from slamhive.model.sensors import Sensor
 
@@ -178,7 +179,9 @@ def inspect(
         with open_recording(entry.dataset, entry.root) as recording:
             sound = sound_sensors(recording, spec.sensors, errors)
             contents = content_findings(recording, sound, errors, warnings)
-            watched, findings = examine(entry, recording, sound, _poses(entry, cache), progress)
+            known, fault = _read_truth(entry, cache)
+            poses = known.poses if known is not None and isinstance(known.poses, Trajectory) else None
+            watched, findings = examine(entry, recording, sound, poses, progress)
             warnings += watched.broken
             sensors = _sensors(spec, recording, watched.scans, contents, errors, warnings)
             used = {sensor.topic for sensor in spec.sensors.values()} | {STATIC_TRANSFORMS}
@@ -204,7 +207,12 @@ def inspect(
         sensors = [
             sensor if sensor.name in elsewhere else _covering(sensor, span, warnings) for sensor in sensors
         ]
-    truth = _truth(entry, cache, span, errors)
+    truth = None
+    try:
+        truth = _truth(entry.name, known, span)
+    except DataError as error:
+        fault = str(error)
+    errors += [fault] if fault else []
     if truth is not None and truth.kind == "trajectory":
         warnings += _truth_shares(spec, timed, truth)
     warnings += _sparse_truth(truth)
@@ -309,13 +317,12 @@ def _sensors(  # noqa: PLR0917 - what is known, then what is added to
     return reports
 
 
-def _poses(entry: DatasetEntry, cache: Path | None) -> Trajectory | None:
-    """Return the ground truth where it has poses and can be read; `_truth` says why it can't be."""
+def _read_truth(entry: DatasetEntry, cache: Path | None) -> tuple[GroundTruthPoses | None, str | None]:
+    """Return the ground truth, and what keeps it from being read."""
     try:
-        found = ground_truth(entry, cache)
-    except DataError:
-        return None
-    return found.poses if found is not None and isinstance(found.poses, Trajectory) else None
+        return ground_truth(entry, cache), None
+    except DataError as error:
+        return None, str(error)
 
 
 def _report(recording: Recording, name: str, sensor: Sensor, scan: Scan, content: str) -> SensorReport:
@@ -419,20 +426,18 @@ def _sparse_truth(truth: TruthReport | None) -> list[str]:
     return [sentence]
 
 
-def _truth(
-    entry: DatasetEntry, cache: Path | None, span: tuple[float, float] | None, errors: list[str]
-) -> TruthReport | None:
-    try:
-        found = ground_truth(entry, cache)
-        if found is None:
-            return None
-        truth = found.poses
-        first, last = truth_range(truth)
-        if span is not None:
-            require_overlap(truth, *span, where=f"dataset {entry.name!r}: groundTruth")
-    except DataError as error:
-        errors.append(str(error))
+def _truth(name: str, found: GroundTruthPoses | None, span: tuple[float, float] | None) -> TruthReport | None:
+    """Return the report on a dataset's ground truth.
+
+    Raises:
+        DataError: It is of another time than the recording, or of none.
+    """
+    if found is None:
         return None
+    truth = found.poses
+    first, last = truth_range(truth)
+    if span is not None:
+        require_overlap(truth, *span, where=f"dataset {name!r}: groundTruth")
     steps = np.array([]) if isinstance(truth, Relations) else np.diff(truth.stamps)
     return TruthReport(
         kind="trajectory" if found.kind == "poses" else found.kind,

@@ -223,13 +223,18 @@ class Recording:
         return _ros2_stamp if self.is_ros2 else _ros1_stamp
 
     def scan(
-        self, topics: Collection[str], progress: Callable[[float], None] | None = None
+        self,
+        topics: Collection[str],
+        progress: Callable[[float], None] | None = None,
+        see: Callable[[Connection, int, int, int, bytes], None] | None = None,
     ) -> dict[str, Scan]:
         """Read the times of all messages of some topics.
 
         Args:
             topics: What to scan.
             progress: Called with the share of the messages that are read, 0 to 1, now and then.
+            see: Called with each message: its connection, its number on the topic from 0, its record time and
+                stamp (ns), and its bytes.
 
         Raises:
             DataError: The recording is damaged.
@@ -244,13 +249,16 @@ class Recording:
             reader = readers[name]
             times[name].append(time)
             try:
-                stamps[name].append(time if reader is None else reader(raw))
+                stamp = time if reader is None else reader(raw)
             except struct.error:
                 raise DataError(
                     f"{self.label}: {name}: message {len(times[name])} is cut off after {len(raw)} bytes"
                 ) from None
+            stamps[name].append(stamp)
             sizes[name] += len(raw)
-            if progress and number % 256 == 0:
+            if see is not None:
+                see(connection, len(stamps[name]) - 1, time, stamp, raw)
+            if progress and number % 64 == 0:
                 progress(min(1.0, number / total))
         return {
             name: Scan(np.array(times[name]), np.array(stamps[name]), readers[name] is not None, sizes[name])
