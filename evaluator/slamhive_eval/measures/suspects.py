@@ -95,8 +95,11 @@ class Suspicion:
     rmse_without: Mapping[str, float]
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain JSON data."""
-        return asdict(self)
+        """Plain JSON data; None for the RMSE of a system without any pose there."""
+        told = asdict(self)
+        for name in ("rmse", "rmse_without"):
+            told[name] = {one: None if np.isnan(value) else value for one, value in told[name].items()}
+        return told
 
 
 def find_suspects(truth: Trajectory, systems: Mapping[str, Sequence[SystemEstimate]]) -> Suspicion:
@@ -151,8 +154,8 @@ def _errors(truth: Trajectory, given: SystemEstimate) -> FloatArray:
     reference = truth.select(used)
     estimate = Trajectory(reference.stamps, positions[used], quaternions[used])
     weights = np.ones(len(used))
+    method: Method = "sim3" if given.is_scaled else "se3"
     for _ in range(_ROUNDS):
-        method: Method = "sim3" if given.is_scaled else "se3"
         laid = align(reference, estimate, method, weights=weights).apply(estimate)
         errors[used] = laid.positions - reference.positions
         squares = np.sum(errors[used] ** 2, axis=1)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import json
+import sys
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -13,13 +13,17 @@ from rich.table import Table
 from slamhive.analysis.selection import Selection
 from slamhive.cli.parts.choosing import EvaluationName, Where, choose_runs
 from slamhive.cli.parts.console import out, plural, remark
+from slamhive.cli.parts.tables import write_json
 from slamhive.cli.parts.waiting import Work
 from slamhive.local.home.folder import Home
 from slamhive.model.results import Outcome
 from slamhive.model.sensors import SensorMode
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
     from slamhive.analysis.frame import Frame
+    from slamhive.archive.records import CatalogEntry
     from slamhive.bridges.places import Here
     from slamhive.runfiles.suspecting import DatasetSuspects
 
@@ -39,13 +43,14 @@ def show_suspects(
     frame, notes = choose_runs(Selection((), evaluation, where), "there is nothing to compare")
     home = Home.from_environment()
     with Work("comparing paths") as work, Here.open(home.archive_url, home.path) as here:
-        datasets = sorted({str(row["dataset"]) for row in frame.records(["dataset"])})
+        datasets = _tracked(frame)
+        algorithms = here.algorithms()
         found = []
-        for number, dataset in enumerate(datasets):
-            found.append(_suspects(here, frame, dataset))
+        for number, (dataset, systems) in enumerate(sorted(datasets.items())):
+            found.append(_suspects(here, dataset, systems, algorithms))
             work.count(number + 1, len(datasets))
     if as_json:
-        typer.echo(json.dumps([one.as_json() for one in found], indent=2))
+        write_json(sys.stdout, (one.as_json() for one in found))
         return
     for one in found:
         _print(one)
@@ -53,19 +58,31 @@ def show_suspects(
         remark(note)
 
 
-def _suspects(here: Here, frame: Frame, dataset: str) -> DatasetSuspects:
+def _tracked(frame: Frame) -> dict[str, dict[str, dict[str, bool]]]:
+    """Return the runs that tracked, by dataset, algorithm and UID: whether each has no scale of its own."""
+    datasets: dict[str, dict[str, dict[str, bool]]] = {}
+    for row in frame.records(["dataset", "algorithm", "uid", "outcome", "sensors"]):
+        systems = datasets.setdefault(str(row["dataset"]), {})
+        if row["outcome"] == Outcome.TRACKED.value:
+            runs = systems.setdefault(str(row["algorithm"]), {})
+            runs.setdefault(str(row["uid"]), row["sensors"] == SensorMode.MONO)
+    return datasets
+
+
+def _suspects(
+    here: Here, dataset: str, systems: Mapping[str, Mapping[str, bool]], algorithms: list[CatalogEntry]
+) -> DatasetSuspects:
     from slamhive.runfiles.suspecting import LocatedRun, suspects_of
 
-    runs, truth, seen = [], None, set()
-    for row in frame.records(["dataset", "uid", "outcome", "sensors"]):
-        if str(row["dataset"]) != dataset or row["outcome"] != Outcome.TRACKED.value or row["uid"] in seen:
-            continue
-        record = here.record(str(row["uid"]))
-        if record is not None:
-            seen.add(row["uid"])
-            truth = truth or here.truth(record)
-            runs.append(LocatedRun(record, here.place(record), is_scaled=row["sensors"] == SensorMode.MONO))
-    return suspects_of(dataset, truth, runs, here.algorithms())
+    def located(runs: Mapping[str, bool]) -> Iterator[LocatedRun]:
+        for uid, is_scaled in runs.items():
+            record = here.record(uid)
+            if record is not None:
+                yield LocatedRun(record, here.place(record), is_scaled)
+
+    first = next((run.record for runs in systems.values() for run in located(runs)), None)
+    truth = here.truth(first) if first is not None else None
+    return suspects_of(dataset, truth, {name: located(runs) for name, runs in systems.items()}, algorithms)
 
 
 def _print(one: DatasetSuspects) -> None:

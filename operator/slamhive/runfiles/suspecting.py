@@ -15,7 +15,7 @@ from slamhive_eval import EvaluationError
 from slamhive_eval.measures.suspects import SystemEstimate, find_suspects
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from slamhive.archive.records import CatalogEntry
     from slamhive.model.results import RunRecord
@@ -42,11 +42,6 @@ class LocatedRun:
     place: ArtifactFolder | None
     is_scaled: bool = False
 
-    @property
-    def system(self) -> str:
-        """Return the name of its system: the algorithm, whichever sensors it used."""
-        return str((self.record.spec.get("algorithmRef") or {}).get("name"))
-
 
 @dataclass
 class DatasetSuspects:
@@ -68,40 +63,47 @@ class DatasetSuspects:
 
     def as_json(self) -> dict[str, Any]:
         """Return the suspects as plain values."""
-        found = None if self.found is None else self.found.as_dict()
-        return {"dataset": self.dataset, "runs": self.runs, "why": self.why, "leftOut": self.left_out} | (
-            {"found": found}
-        )
+        return {
+            "dataset": self.dataset,
+            "runs": self.runs,
+            "why": self.why,
+            "leftOut": self.left_out,
+            "found": None if self.found is None else self.found.as_dict(),
+        }
 
 
 def suspects_of(
-    dataset: str, truth: DatasetTruth | None, runs: Iterable[LocatedRun], algorithms: list[CatalogEntry]
+    dataset: str,
+    truth: DatasetTruth | None,
+    systems: Mapping[str, Iterable[LocatedRun]],
+    algorithms: list[CatalogEntry],
 ) -> DatasetSuspects:
     """Return the suspects of a dataset's ground truth.
 
     Args:
         dataset: Its name.
         truth: Its ground truth; None where that isn't at hand.
-        runs: Its runs that tracked.
+        systems: Its runs that tracked by system: the algorithm, whichever sensors it used. Of each as many
+            are taken as are read.
         algorithms: Versions of the Algorithms in the archive, for whose pose a run wrote.
     """
     made = DatasetSuspects(dataset)
     if truth is None or truth.are_points:
         made.why = "its ground truth has no poses at hand here"
         return made
-    systems: dict[str, list[SystemEstimate]] = {}
-    for run in runs:
-        known = systems.setdefault(run.system, [])
-        if len(known) == MOST_RUNS:
-            continue
-        try:
-            known.append(SystemEstimate(_in_truths_frame(run, truth, algorithms), run.is_scaled))
-        except (RunFileError, EvaluationError) as error:
-            made.left_out.append(f"{run.record.name}: {error}")
-            continue
-        made.runs += 1
+    estimates: dict[str, list[SystemEstimate]] = {}
+    for system, runs in systems.items():
+        known = estimates.setdefault(system, [])
+        for run in runs:
+            try:
+                known.append(SystemEstimate(_in_truths_frame(run, truth, algorithms), run.is_scaled))
+            except (RunFileError, EvaluationError) as error:
+                made.left_out.append(f"{run.record.name}: {error}")
+            if len(known) == MOST_RUNS:
+                break
+        made.runs += len(known)
     try:
-        made.found = find_suspects(truth.poses, systems)
+        made.found = find_suspects(truth.poses, estimates)
     except EvaluationError as error:
         made.why = str(error)
     return made

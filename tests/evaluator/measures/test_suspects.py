@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -61,3 +63,11 @@ def test_one_system_that_fails_says_nothing_of_the_truth() -> None:
 def test_two_systems_are_too_few() -> None:
     with pytest.raises(OptionError, match="2 with a trajectory"):
         find_suspects(trajectory(PATH), systems(2))
+
+
+def test_a_system_without_poses_has_no_error() -> None:
+    given = systems(4)
+    given["late"] = [SystemEstimate(trajectory(PATH).shifted(1000.0))]
+    found = find_suspects(trajectory(PATH), given).as_dict()
+    assert found["rmse"]["late"] is None
+    json.dumps(found, allow_nan=False)
