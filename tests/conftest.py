@@ -55,7 +55,11 @@ NEEDS = {
 """Markers of the tests that ask for a fixture."""
 LONG = {"slow", "image", "ros", "container", "cluster"}
 """Markers of tests that may take longer than the usual five minutes."""
-CONTAINER_IMAGES = ("kiss-icp", "shell-algorithm", "ros1-player", "kiss-icp-ros")
+CONTAINER_IMAGES = (
+    *("kiss-icp", "shell-algorithm"),
+    *("ros1-player", "kiss-icp-ros"),
+    *("ros2-player", "kiss-icp-ros2"),
+)
 """Images that tests run in containers of a workstation, as images/build calls them."""
 POSTGRESQL = "SLAMHIVE_TEST_POSTGRESQL"
 """Variable that names a PostgreSQL server for tests."""

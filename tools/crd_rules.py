@@ -11,8 +11,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from slamhive.model.algorithm import TEXT_LIMIT
+from pydantic.alias_generators import to_camel
+
+from slamhive.model.algorithm import TEXT_LIMIT, Pace
 from slamhive.model.formats import FIRST_CAMERAS, HELD, DataFormat, holds
+from slamhive.model.run import OF_ROLES
 from slamhive.model.sensors import ROLES, Role, SensorMode
 from slamhive.model.sweep import MAX_POINTS
 from slamhive.model.synthetic import NOMINAL_LAP_METRES, REST_SECONDS, SyntheticSensor
@@ -48,6 +51,10 @@ def _holding(form: DataFormat) -> str:
 _BAGS = _texts(form for form in DataFormat if not form.is_folder)
 _FOLDERS = " || ".join(_holding(form) for form in DataFormat if form.is_folder)
 
+_KEYS_ARE_ROLES = f"its keys are roles: {_ROLES.replace(chr(39), '')}"
+_OF_ROLES = [to_camel(field) for field in OF_ROLES]
+_NODE = "has(self.ros1) || has(self.ros2)"
+
 RULES: dict[str, tuple[Rule, ...]] = {
     "AlgorithmSpec": (
         ("has(self.image) || has(self.local)", "image: needed, or local for a program without a container"),
@@ -55,17 +62,26 @@ RULES: dict[str, tuple[Rule, ...]] = {
             "!self.paces.exists(pace, pace == 'Realtime') || has(self.realtime)",
             "realtime: needed for the pace Realtime (queue and drop policy)",
         ),
+        ("!has(self.ros1) || !has(self.ros2)", "ros2: a node of ROS 1 or of ROS 2, not of both"),
         (
-            "!has(self.ros1) || self.paces.exists(pace, pace == 'Realtime')",
-            "ros1: needs the pace Realtime among paces",
+            f"!({_NODE}) || self.paces.exists(pace, pace != 'Lockstep')",
+            "paces: a ROS node (ros1, ros2) needs Realtime or Stepped among them",
+        ),
+        (
+            f"{_NODE} || !self.paces.exists(pace, pace == 'Stepped')",
+            "paces: Stepped is for ROS nodes alone (ros1, ros2)",
         ),
         (
             "!has(self.ros1) || self.recording == ['Rosbag1']",
             "ros1: needs recording: [Rosbag1], which is what is played",
         ),
         (
-            "!has(self.ros1) || (!has(self.output.trajectory) && !has(self.output.keyframes))",
-            "output.trajectory: a ROS 1 node's poses are those that it publishes",
+            "!has(self.ros2) || self.recording.all(form, form in ['Rosbag2', 'Mcap'])",
+            "ros2: needs recording: [Rosbag2, Mcap], which is what is played",
+        ),
+        (
+            f"!({_NODE}) || (!has(self.output.trajectory) && !has(self.output.keyframes))",
+            "output.trajectory: a ROS node's poses are those that it publishes",
         ),
         (
             (
@@ -80,7 +96,7 @@ RULES: dict[str, tuple[Rule, ...]] = {
         ),
     ),
     "PoseFile": (("!has(self.columns) || self.format == 'Csv'", "columns: only the format Csv takes it"),),
-    "Ros1Poses": (
+    "RosPoses": (
         (
             "self.type == 'TF' ? has(self.parent) && has(self.frame) : !has(self.parent) && !has(self.frame)",
             "parent: parent and frame are needed for TF, and for TF alone",
@@ -89,7 +105,25 @@ RULES: dict[str, tuple[Rule, ...]] = {
     "Ros1": (
         (
             f"self.topics.all(role, role in [{_ROLES}])",
-            f"topics: its keys are roles: {_ROLES.replace(chr(39), '')}",
+            f"topics: {_KEYS_ARE_ROLES}",
+        ),
+    ),
+    "Ros2": (
+        (
+            f"self.topics.all(role, role in [{_ROLES}])",
+            f"topics: {_KEYS_ARE_ROLES}",
+        ),
+        (
+            f"self.qos.all(role, role in [{_ROLES}])",
+            f"qos: {_KEYS_ARE_ROLES}",
+        ),
+        (
+            "self.arguments == 'Ros' || !has(self.parameters)",
+            "parameters: needs arguments: Ros, by which the node is told of the file",
+        ),
+        (
+            "self.arguments == 'Ros' || self.topics.all(role, self.topics[role].startsWith('/'))",
+            "topics: a relative name needs arguments: Ros",
         ),
     ),
     "Asset": (
@@ -169,6 +203,9 @@ RULES: dict[str, tuple[Rule, ...]] = {
             "maxRange: must be greater than minRange",
         ),
     ),
+    "Perturbation": tuple(
+        (f"self.{field}.all(role, role in [{_ROLES}])", f"{field}: {_KEYS_ARE_ROLES}") for field in _OF_ROLES
+    ),
     "InputOptions": (
         (
             f"self.remap.all(role, role in [{_ROLES}])",
@@ -222,7 +259,7 @@ _SMALL = 64
 LENGTHS: dict[str, int] = {
     "Axis.values": MAX_POINTS,
     "Axis.path": 512,
-    "AlgorithmSpec.paces": 2,
+    "AlgorithmSpec.paces": len(Pace),
     "AlgorithmSpec.modes": len(SensorMode),
     "AlgorithmSpec.recording": 6,
     "AlgorithmSpec.parameters": 1000,
@@ -232,8 +269,11 @@ LENGTHS: dict[str, int] = {
     "Mode.roles": len(Role),
     "Mode.topics": _SMALL,
     "Parameter.values": 1000,
+    **{f"Perturbation.{field}": len(Role) for field in _OF_ROLES},
     "Recording.files": 1000,
     "Ros1.topics": len(Role),
+    "Ros2.qos": len(Role),
+    "Ros2.topics": len(Role),
     "RunSelector.names": 10_000,
     "SyntheticRecording.sensors": len(SyntheticSensor),
     "GroundTruth.holes": 1000,

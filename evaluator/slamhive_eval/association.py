@@ -50,11 +50,12 @@ def associate(
     max_difference_seconds: float = 0.01,
     offset_seconds: float = 0.0,
 ) -> Association:
-    """Pair each pose of the shorter trajectory with the nearest in time of the longer one, as evo does.
+    """Pair each pose of the shorter trajectory with the nearest in time of the longer one, one to one.
 
-    Not unique: a pose of the longer trajectory may serve several. A pair is accepted when the stamps
-    differ by at most the tolerance; the lower index wins a tie. Of two trajectories with as many poses
-    the estimate counts as the shorter.
+    These are evo's pairs where each has a pose to itself. Of several that share one, which evo keeps, only
+    the closest stays: one pose must not count as many. A pair is accepted when the stamps differ by at most
+    the tolerance; the lower index wins a tie. Of two trajectories with as many poses the estimate counts as
+    the shorter.
 
     Args:
         reference: Ground truth.
@@ -308,6 +309,15 @@ def interpolate(
     return found, positions, np.where(found[:, np.newaxis], quaternions, (0.0, 0.0, 0.0, 1.0))
 
 
+def equal_stamps_notes(estimate: Trajectory) -> list[str]:
+    """Return a sentence on poses of an estimate that have the stamp of another one, if there are such."""
+    repeated = int(np.count_nonzero(np.diff(estimate.stamps) == 0))
+    if not repeated:
+        return []
+    has = "1 pose of the estimate has" if repeated == 1 else f"{repeated} poses of the estimate have"
+    return [f"{has} the stamp of the one before"]
+
+
 def no_overlap(
     reference: Trajectory, estimate: Trajectory, max_difference_seconds: float, offset_seconds: float
 ) -> AssociationError:
@@ -352,4 +362,9 @@ def _time_range(trajectory: Trajectory) -> str:
 def _match(short: FloatArray, long: FloatArray, tolerance: float) -> tuple[IndexArray, IndexArray]:
     partner = nearest(long, short, tolerance)
     matched = np.flatnonzero(partner >= 0)
-    return matched, partner[matched]
+    partner = partner[matched]
+    if (np.diff(partner) > 0).all():
+        return matched, partner
+    order = np.lexsort((np.abs(long[partner] - short[matched]), partner))
+    partner, firsts = np.unique(partner[order], return_index=True)
+    return matched[order[firsts]], partner

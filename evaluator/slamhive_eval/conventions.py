@@ -58,6 +58,7 @@ def _made(one: Trajectory, positions: rotation.FloatArray, quaternions: rotation
         oriented=one.oriented,
         stamped_by=one.stamped_by,
         notes=one.notes,
+        nan_rows=one.nan_rows,
     )
 
 

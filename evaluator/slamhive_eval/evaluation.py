@@ -15,7 +15,14 @@ import numpy as np
 
 from slamhive_eval import metrics
 from slamhive_eval.alignment import METHODS, Alignment, Method, stands_still, umeyama_scale
-from slamhive_eval.association import DEFAULT_GAP_SECONDS, Association, Matching, no_overlap, pair_up
+from slamhive_eval.association import (
+    DEFAULT_GAP_SECONDS,
+    Association,
+    Matching,
+    equal_stamps_notes,
+    no_overlap,
+    pair_up,
+)
 from slamhive_eval.coverage import Coverage, measure_coverage, no_coverage
 from slamhive_eval.errors import AssociationError, OptionError
 from slamhive_eval.pairs import MIN_RANKED_PAIRS, Unit, find_pairs
@@ -28,6 +35,12 @@ if TYPE_CHECKING:
     from slamhive_eval.timing import TimeOffset
     from slamhive_eval.trajectory import Trajectory
 
+VERSION = 2
+"""Version of the figures, raised where the same input gives others than before.
+
+2: poses are paired one to one, rows of NaN are left out and counted, KITTI's segments begin and end at frames
+of the ground truth.
+"""
 MIN_POSES = 3
 """Fewer associated poses than this have no error worth the name."""
 MIN_SCALE, MAX_SCALE = 0.5, 2.0
@@ -221,6 +234,7 @@ class Evaluation:
         poses: The compared poses and their errors, or None.
         notes: Sentences on how the estimate was read and on what degenerate input left undetermined.
         clock: The offset of the estimate's clock, None where it wasn't asked for or found.
+        nan_rows: Rows of the estimate's file that held NaN and were left out.
     """
 
     outcome: Outcome
@@ -238,6 +252,7 @@ class Evaluation:
     poses: Poses | None = field(default=None, repr=False)
     notes: tuple[str, ...] = ()
     clock: TimeOffset | None = None
+    nan_rows: int = 0
 
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON data under the project's field names; a number that isn't finite becomes null."""
@@ -257,6 +272,7 @@ class Evaluation:
             "rpe": [error.as_dict() for error in self.rpe],
             "notes": list(self.notes),
             **({} if self.clock is None else {"clock": self.clock.as_dict()}),
+            **({"nanRows": self.nan_rows} if self.nan_rows else {}),
         }
 
 
@@ -325,8 +341,9 @@ def evaluate(
         matched=len(pairs),
         reference_poses=len(reference),
         estimate_poses=len(estimate),
-        notes=estimate.notes,
+        notes=(*estimate.notes, *equal_stamps_notes(estimate)),
         clock=clock,
+        nan_rows=estimate.nan_rows,
     )
     if len(pairs) < MIN_POSES:
         return replace(result, message=problem or _too_few(reference, estimate, pairs, options))
@@ -369,7 +386,7 @@ def _too_few(reference: Trajectory, estimate: Trajectory, pairs: Association, op
     if not len(pairs):
         return str(no_overlap(reference, estimate, limit, options.offset_seconds))
     return (
-        f"{len(pairs)} of {len(estimate)} poses of the estimate have a ground-truth pose within "
+        f"{len(pairs)} of {len(estimate)} poses of the estimate have a ground-truth pose of their own within "
         f"{limit:g} s; an error needs at least {MIN_POSES}"
     )
 

@@ -59,6 +59,7 @@ class Trajectory:
         stamped_by: What the stamps are: ``time`` in s; of KITTI poses without times, frames counted from 0:
             the number of the ``line``, or the ``frame`` that the file gives for each pose.
         notes: Sentences on how it was read that belong to every result.
+        nan_rows: How many rows of its file held NaN and were left out.
 
     Raises:
         TrajectoryError: No poses, arrays of unequal length, a value that isn't finite, a decreasing
@@ -73,6 +74,7 @@ class Trajectory:
     covariances: FloatArray | None = None
     stamped_by: StampedBy = "time"
     notes: tuple[str, ...] = ()
+    nan_rows: int = 0
 
     def __post_init__(self) -> None:
         stamps = np.array(self.stamps, dtype=np.float64)
@@ -111,7 +113,7 @@ class Trajectory:
         """One made from this, which alignment may carry beyond the limits of a file."""
         made = object.__new__(type(self))
         made._set(self.stamps if stamps is None else stamps, positions, quaternions, rotations, covariances)
-        for name in ("oriented", "stamped_by", "notes"):
+        for name in ("oriented", "stamped_by", "notes", "nan_rows"):
             object.__setattr__(made, name, getattr(self, name))
         return made
 

@@ -30,7 +30,7 @@ POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8:
 
 SHARES = {"ScanStart": 0.0, "ScanMid": 0.5, "ScanEnd": 1.0}
 """Share of a scan that lies before its header stamp, by what the stamp means."""
-TIME_FIELDS = ("time", "t", "timestamp", "timestamps", "offset_time", "time_stamp")
+TIME_FIELDS = ("time", "t", "timestamp", "timestamps", "time_offset", "offset_time", "time_stamp")
 RING_FIELDS = ("ring", "line", "channel")
 
 IMAGE_TYPES = {
@@ -200,6 +200,9 @@ class Recording:
 def decode_cloud(message: Any, sensor: Sensor) -> Cloud:
     """Decode a sensor_msgs/PointCloud2, leaving out points that aren't finite.
 
+    Where some points have a time, those without one (NaN) go, too. A scan whose points all have one time is
+    given as without times: they tell nothing, and programs that divide by their length fail.
+
     Args:
         message: The message.
         sensor: Its sensor; `timeField` and `ringField` of its details name the fields, or else the usual
@@ -220,9 +223,9 @@ def decode_cloud(message: Any, sensor: Sensor) -> Cloud:
             "itemsize": message.point_step,
         }
     )
-    rows = np.ndarray(
-        (message.height, message.width), layout, message.data, 0, (message.row_step, message.point_step)
-    )
+    # Some drivers state rows of 0 bytes where they aren't padded.
+    step = message.row_step or message.width * message.point_step
+    rows = np.ndarray((message.height, message.width), layout, message.data, 0, (step, message.point_step))
     records = rows.reshape(-1)
     points = np.column_stack([records["x"], records["y"], records["z"]]).astype(float)
     finite = np.isfinite(points).all(axis=1)
@@ -235,7 +238,13 @@ def decode_cloud(message: Any, sensor: Sensor) -> Cloud:
     header = message.header.stamp
     times = column("timeField", TIME_FIELDS)
     if times is not None:
-        times = _seconds_after(times, header.sec * NANOSECONDS + header.nanosec, sensor)[finite]
+        timed = np.isfinite(times)
+        known = times[timed]
+        if not known.size or (len(known) > 1 and known.min() == known.max()):
+            times = None
+        else:
+            finite &= timed
+            times = _seconds_after(times, header.sec * NANOSECONDS + header.nanosec, sensor)[finite]
     rings = column("ringField", RING_FIELDS)
     intensities = column("intensityField", ("intensity", "i", "reflectivity"))
     return Cloud(

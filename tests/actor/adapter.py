@@ -136,7 +136,10 @@ ACTS: dict[str, Callable[[], object]] = {
     "forks": forks,
     "nothing": nothing,
     "empty": lambda: write([]),
-    "nan": lambda: write([*lines[:5], "1.0 nan 0 0 0 0 0 1\n"]),
+    "nan": lambda: write(
+        [line if k % 4 else line.split()[0] + " nan" * 7 + "\n" for k, line in enumerate(lines)]
+    ),
+    "infinite": lambda: write([*lines[:5], "1.0 inf 0 0 0 0 0 1\n"]),
     "half": lambda: write(lines[: len(lines) * 14 // 25]),
     "elsewhere": elsewhere,
     "log": log,

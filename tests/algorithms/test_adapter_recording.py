@@ -109,6 +109,27 @@ def test_a_point_without_a_return_still_tells_how_long_the_scan_lasted(maker: Ma
     np.testing.assert_allclose(decode_cloud(maker.cloud(START, records), sensor).times, [-0.05, -0.025])
 
 
+def test_points_without_a_time_are_left_out(maker: Maker) -> None:
+    records = np.zeros(4, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<f4")])
+    records["x"], records["t"] = [1, 2, 3, 4], [0, np.nan, 0.05, 0.1]
+    cloud = decode_cloud(maker.cloud(START, records), LIDAR)
+    assert cloud.points[:, 0].tolist() == [1, 3, 4]
+    np.testing.assert_allclose(cloud.times, [0, 0.05, 0.1])
+
+
+@pytest.mark.parametrize("time", [0.0, 0.05, np.nan])
+def test_a_scan_whose_points_have_one_time_has_none(maker: Maker, time: float) -> None:
+    records = np.zeros(3, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<f4")])
+    records["t"] = time
+    cloud = decode_cloud(maker.cloud(START, records), LIDAR)
+    assert (len(cloud.points), cloud.times) == (3, None)
+
+
+def test_rows_of_0_bytes_are_rows_without_padding(maker: Maker, points: np.ndarray) -> None:
+    message = replace(maker.cloud(START, points), height=2, width=2, row_step=0)
+    assert decode_cloud(message, LIDAR).points.tolist() == [[1, 5, 0], [2, 6, 0], [4, 8, 0]]
+
+
 def test_takes_the_fields_that_the_calibration_names(maker: Maker) -> None:
     records = np.zeros(1, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("time", "<f4"), ("dt", "<f4")])
     records["dt"] = 0.5

@@ -329,3 +329,12 @@ def test_what_may_kill_the_process_is_done_in_another(adapter: Any, tmp_path: Pa
 def test_refuses_images_that_it_would_get_wrong(adapter: Any, image: np.ndarray, sentence: str) -> None:
     with pytest.raises(AdapterError, match=sentence):
         adapter.check_image(Item("left", 0, image), camera(adapter, LEFT, np.eye(4)))
+
+
+def test_a_grey_image_and_one_in_colour_become_a_pair_of_grey_ones(adapter: Any) -> None:
+    left, right = camera(adapter, LEFT, np.eye(4)), camera(adapter, RIGHT, pose((0, 0, 0), (0.1, 0, 0)))
+    colour = np.full((360, 480, 3), (200, 100, 50), dtype=np.uint8)
+    first, second = adapter.Rectification(left, right)(colour, colour[:, :, 0])
+    assert (first.shape, second.shape) == ((360, 480), (360, 480))
+    assert abs(int(first[180, 240]) - 124) <= 1, "0.299 R + 0.587 G + 0.114 B (ITU-R BT.601)"
+    assert second[180, 240] == 200

@@ -70,6 +70,33 @@ def test_ranks_do_not_depend_on_the_metres_of_a_dataset() -> None:
     assert [(e.rank_interval.low, e.rank_interval.high) for e in board.entries] == [(1, 1), (2, 2), (3, 3)]
 
 
+def test_a_single_result_has_no_interval_and_what_rows_are_over_is_said() -> None:
+    rows = [make_row("one", "hall", 1.0)]
+    rows += [make_row("two", "hall", error, **{"parameters.n": n}) for n, error in enumerate((2.0, 3.0))]
+    found = leaderboard(frame_of(rows))
+    one, two = found.boards[0].entries
+    assert math.isnan(one.ratio_interval.low)
+    assert math.isnan(one.rank_interval.low)
+    assert (two.ratio_interval.low, two.ratio_interval.high) == pytest.approx((2, 3))
+    told = "Each row is over 2 values of parameters.n: by algorithm, sensors, parameters.n tells them apart."
+    assert (found.pooled, found.pooling) == ({"parameters.n": 2}, told)
+    assert leaderboard(frame_of(rows), by=["algorithm", "parameters.n"]).pooling == ""
+
+
+def test_a_setting_that_changes_no_trajectory_is_named_with_whom() -> None:
+    told = "n changes nothing for idle: equal trajectories at all values"
+    rows = [
+        make_row(name, dataset, 1.0, **{"parameters.n": n, "trajectory.sha256": f"{dataset} {n * moved}"})
+        for name, moved in (("idle", 0), ("moved", 1))
+        for dataset in ("hall", "yard")
+        for n in (1, 2)
+    ]
+    assert told in leaderboard(frame_of(rows)).notes
+    assert told in aggregate(frame_of(rows), ["ate.rmse"], ["algorithm"]).notes
+    rows[0]["trajectory.sha256"] = "another"
+    assert not [note for note in leaderboard(frame_of(rows)).notes if "changes nothing" in note]
+
+
 def test_equals_share_a_rank_and_are_unsure_of_it() -> None:
     (board,) = leaderboard(frame_of(study({"a": 1.0, "b": 1.0}, spread=0.3))).boards
     assert all(entry.rank_interval.low == 1 and entry.rank_interval.high == 2 for entry in board.entries)
@@ -124,6 +151,37 @@ def test_failed_runs_are_ranked_last_and_never_dropped() -> None:
     assert (steady.keys["algorithm"], gambler.n, gambler.runs) == ("steady", 3, 12)
     assert math.isinf(gambler.ratio)
     assert gambler.standings[0].failures == {"AlgorithmFailed": 3}
+
+
+def test_who_never_succeeded_has_no_rank_and_comes_last_with_a_word_why() -> None:
+    rows = study({"good": 1.0, "bad": 5.0}, 3)
+    rows += [make_row("never", f"dataset-{d}", None) for d in range(3) for _ in range(3)]
+    frame = frame_of(rows)
+    (board,) = leaderboard(frame).boards
+    *ranked, last = board.entries
+    assert [(entry.rank, entry.score, entry.unranked) for entry in ranked] == [(1, 0, ""), (2, 1, "")]
+    assert (last.keys["algorithm"], last.unranked, last.n, last.failed) == ("never", "never succeeded", 0, 9)
+    assert all(map(math.isnan, (last.rank, last.score, last.rank_interval.low)))
+    assert all(math.isnan(one.rank) and math.isinf(one.median) for one in last.standings)
+    assert (ranked[1].rank_interval.low, ranked[1].rank_interval.high) == (2, 2)
+    # It is nobody's rival in pairs either, and no reader takes it for one of the best.
+    (pairs,), _ = compare(frame)
+    assert [(pair.a["algorithm"], pair.b["algorithm"]) for pair in pairs.pairs] == [("bad", "good")]
+    assert not any(spot.front for front in pareto(frame, "coverage")[0] for spot in front.spots[2:])
+
+
+def test_where_all_failed_nobody_is_first() -> None:
+    """A board of one system that failed three times said: rank 1, score 0, 1 times the best."""
+    (board,) = leaderboard(
+        frame_of([make_row("never", "depth", None, repetition=k) for k in range(3)])
+    ).boards
+    (entry,) = board.entries
+    assert math.isnan(entry.rank)
+    assert math.isinf(entry.ratio)
+    # One that came through once in three has a rank, though its median run failed.
+    rows = [make_row("once", "depth", error) for error in (1.0, None, None)]
+    (board,) = leaderboard(frame_of(rows)).boards
+    assert (board.entries[0].rank, board.entries[0].ratio) == (1.0, math.inf)
 
 
 def test_competitors_without_a_common_dataset_are_not_compared() -> None:

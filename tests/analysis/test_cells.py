@@ -12,11 +12,10 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from slamhive.analysis.cells import Places, figures
+from slamhive.analysis.cells import Places, again, figures
 from slamhive.analysis.grouping import ranked_errors
 from slamhive.analysis.statistics import (
     ENOUGH,
-    Numbers,
     Summary,
     mean_interval,
     median_interval,
@@ -66,7 +65,7 @@ def test_figures_are_those_of_each_group_by_itself(
     inside &= ~failed  # a run that failed has no number that counts
     numbers = places.numbers(values, inside)
     plain = figures(numbers)
-    ranked = figures(numbers, places.counts(failed), [False] * len(groups))
+    ranked = figures(numbers, places.counts(failed))
     for group in range(len(groups)):
         rows = np.flatnonzero(of_row == group)
         mine = values[rows][inside[rows] & ~np.isnan(values[rows])]
@@ -82,23 +81,16 @@ def test_figures_are_those_of_each_group_by_itself(
 
 
 @given(GROUPS)
-def test_words_are_counted_and_results_compared_within_each_group(
+def test_words_are_counted_and_results_found_again_within_each_group(
     groups: list[list[tuple[float, bool, bool, int]]],
 ) -> None:
     places, of_row, _, inside, _, codes = material(groups)
     tallies = places.tallies(WORDS, codes + 1, inside)
-    agree = places.agree(codes, inside).tolist()
+    repeats = again(of_row, codes)
     for group in range(len(groups)):
         mine = codes[(of_row == group) & inside].tolist()
         counts = {word: mine.count(code - 1) for code, word in enumerate(WORDS)}
         assert tallies[group] == {word: count for word, count in counts.items() if count}
         assert list(tallies[group]) == sorted(tallies[group])
-        assert agree[group] == (len(mine) > 1 and len(set(mine)) == 1 and mine[0] >= 0)
-
-
-def test_one_result_that_came_out_several_times_has_no_spread() -> None:
-    numbers = Numbers(np.array([0.1] * 3), np.zeros(3, dtype=np.intp), 1)
-    (figure,) = figures(numbers, np.zeros(1, dtype=np.intp), [True])
-    assert figure.summary is not None
-    assert (figure.summary.n, figure.summary.mean, figure.summary.std) == (3, 0.1, None)
-    assert figure.points == (0.1, 0.1, 0.1)
+        every = codes[of_row == group].tolist()
+        assert repeats[of_row == group].tolist() == [one in every[:k] for k, one in enumerate(every)]

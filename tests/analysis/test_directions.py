@@ -15,7 +15,7 @@ from slamhive.analysis.columns import Column
 from slamhive.analysis.comparing import compare
 from slamhive.analysis.derived import with_derived
 from slamhive.analysis.edits import edits
-from slamhive.analysis.grouping import Outcomes, aggregate
+from slamhive.analysis.grouping import Groups, Outcomes, aggregate
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.measures import Better, Measure
 from slamhive.analysis.pareto import pareto
@@ -192,7 +192,8 @@ def test_before_and_after_says_better_where_an_accuracy_grows(
     assert f"after is 2 times {way}, in 6 of 6" in changes[SPEED].sentence
     assert changes[SPEED].wins == ((6, 0, 0) if factor > 1 else (0, 6, 0))
     assert f"after is 2 times {way}, in 6 of 6" in changes[UNKNOWN].sentence
-    ((edit,), _) = edits(frame_of(rows), [accuracy], ["orb"])
+    before = changes[accuracy].before.version
+    ((edit,), _) = edits(frame_of(rows), [accuracy], {("algorithm", "orb"): before})
     assert edit.lines[0].wins == changes[accuracy].wins
 
 
@@ -209,7 +210,7 @@ def test_a_setting_that_fails_now_is_worse_by_an_accuracy_too(accuracy: str) -> 
 
 def test_shares_of_runs_are_of_those_as_good_or_better(accuracy: str) -> None:
     rows = [make_row("a", "hall", error, k) for k, error in enumerate((1.0, 2.0, 4.0, None))]
-    ranked = Ranking(frame_of(rows), accuracy, Outcomes.TRACKED).of(np.arange(4))
+    ranked = next(Ranking(frame_of(rows), accuracy, Outcomes.TRACKED).each(Groups(frame_of(rows), ())))
     assert ranked.values.tolist() == [1.0, 0.5, 0.25]
     assert ranked.shares.tolist() == [0.25, 0.5, 0.75]
     assert (ranked.median, ranked.quartiles) == (0.375, (-math.inf, 0.375, 0.625))

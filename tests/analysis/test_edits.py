@@ -10,6 +10,7 @@ import pytest
 from slamhive.analysis.columns import Column
 from slamhive.analysis.derived import with_derived
 from slamhive.analysis.edits import NOT_TRACKED, Edit, EditLine, edits
+from slamhive.analysis.selection import Selection, choose
 
 if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
@@ -51,8 +52,19 @@ def study(version: str, factor: float, settings: int = 3, repetitions: int = 4, 
     ]
 
 
-def only(rows: list[dict[str, Any]], metrics: tuple[str, ...] = ("ate.rmse",)) -> Edit:
-    (found,) = edits(frame_of(rows), metrics, {"orb", "hall"})[0]
+def only(
+    rows: list[dict[str, Any]],
+    metrics: tuple[str, ...] = ("ate.rmse",),
+    before: str = "first",
+    changed: str = "algorithm",
+) -> Edit:
+    frame = frame_of(rows)
+    column = {"algorithm": "provenance.algorithmHash", "dataset": "provenance.datasetSha256"}[changed]
+    versions = dict(
+        zip(frame.column(column).tolist(), frame.column(f"{changed}.version").tolist(), strict=True)
+    )
+    name = {"algorithm": "orb", "dataset": "hall"}[changed]
+    (found,) = edits(frame, metrics, {(changed, name): versions[before]})[0]
     return found
 
 
@@ -90,24 +102,105 @@ def test_failures_are_counted_on_both_sides_and_tested_within_settings() -> None
     assert found.p == pytest.approx(1 / 5**2)
 
 
-def test_the_version_with_most_settings_in_common_is_the_one_before() -> None:
-    rows = [*study("first", 1.0), *study("second", 9.0, settings=1, repetitions=1), *study("third", 2.0)]
-    found = only(rows)
-    assert found.unpaired == 0
-    assert line(found, "ate.rmse").ratio == pytest.approx(2.0)
+def test_eleven_edits_are_told_of_by_the_last_one_alone() -> None:
+    rows = [
+        make_row("first", setting, k, factor * (setting + 1), id=1000 * edit + 10 * setting + k, created=edit)
+        | {"provenance.algorithmHash": f"edit {edit}"}
+        for edit, factor in enumerate((5.0, 9.0, 7.0, 3.0, 8.0, 6.0, 2.0, 4.0, 1.5, 7.5, 2.0, 3.0))
+        for setting in range(3)
+        for k in range(2)
+    ]
+    found = only(rows, before="edit 10")
+    assert line(found, "ate.rmse").ratio == pytest.approx(1.5)
+    assert line(found, NOT_TRACKED).of == found.runs == (6, 6)
     assert "correction" not in line(found, "ate.rmse").verdict
 
 
-def test_of_equally_complete_versions_the_latest_is_the_one_before() -> None:
-    found = only([*study("first", 1.0), *study("second", 4.0), *study("third", 2.0)])
-    assert line(found, "ate.rmse").ratio == pytest.approx(0.5)
+def test_an_edit_of_a_dataset_is_told_by_runs_of_algorithms_as_they_are_now() -> None:
+    # The old adapter failed on both; the new one ran before and after the dataset was edited.
+    old, new, yard = ({"provenance.datasetSha256": one} for one in ("x", "y", "z"))
+    rows = [make_row("first", 0, k, None, **old) for k in range(3)]
+    rows += [make_row("first", 0, k, None, **new) | {"id": 50 + k} for k in range(3)]
+    rows += [make_row("second", 0, k, 1.0, **old) for k in range(3)]
+    rows += [make_row("second", 0, k, 2.0, **new) | {"id": 10_050 + k, "created": 2e9} for k in range(3)]
+    rows += [make_row("second", 0, k, 9.0, **yard) | {"id": 99 + k, "dataset": "yard"} for k in range(3)]
+    found = only(rows, before="x", changed="dataset")
+    assert line(found, "ate.rmse").ratio == pytest.approx(2.0)
+    assert (line(found, NOT_TRACKED).of, line(found, NOT_TRACKED).before) == ((3, 3), 0)
+    assert (found.unpaired, found.runs) == (0, (3, 3))
+
+
+def test_an_edit_that_was_taken_back_is_after_what_it_undid() -> None:
+    # What takes over an equal result says which version is current, and then counts once with the first one.
+    again = make_row("first", 0, 0, 1.0) | {"id": 99_999, "created": 2e9, "provenance.reusedFrom": "first"}
+    rows = [
+        row | {"provenance.contentHash": str(row["id"] % 99_999)}
+        for row in [*study("first", 1.0), *study("second", 4.0), again]
+    ]
+    frame = choose(frame_of(rows), Selection(superseded=True)).frame
+    before = str(frame.column("algorithm.version").tolist()[-1])
+    assert len(frame) == len(rows) - 1
+    (found,) = edits(frame, ("ate.rmse",), {("algorithm", "orb"): before})[0]
+    assert line(found, "ate.rmse").ratio == pytest.approx(0.25)
+
+
+def test_what_failed_before_and_after_is_not_the_same_and_not_compared() -> None:
+    rows = [
+        make_row(version, setting, k, None) for version in VERSIONS[:2] for setting in (0, 1) for k in (0, 1)
+    ]
+    found = only(rows, ())
+    assert [(one.metric, one.wins, one.failed, one.verdict) for one in found.lines] == [
+        ("ate.rmse", (0, 0, 0), 2, ""),
+        (NOT_TRACKED, (0, 0, 0), 2, ""),
+    ]
+    # Beside one that never works, another's doubled error is told as that.
+    rows += [
+        make_row(version, 2, k, error) for version, error in (("first", 1.0), ("second", 2.0)) for k in (0, 1)
+    ]
+    found = line(only(rows), "ate.rmse")
+    assert (found.before, found.after, found.ratio) == pytest.approx((1.0, 2.0, 2.0))
+    assert (found.wins, found.failed) == ((0, 1, 0), 2)
+
+
+CPU = "usage.cpu.seconds"
+
+
+def failing(version: str, **more: Any) -> list[dict[str, Any]]:
+    return [
+        make_row(version, setting, k, None, **{CPU: 0.1}, **more) for setting in range(3) for k in range(4)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("rows", "failed"),
+    [
+        ([*failing("first"), *study("second", 1.0)], (12, 0)),
+        ([*study("first", 1.0), *failing("second")], (0, 12)),
+    ],
+)
+def test_a_version_that_never_succeeded_has_no_load_that_is_better_or_worse(
+    rows: list[dict[str, Any]], failed: tuple[int, int]
+) -> None:
+    found = only(rows, ("ate.rmse", CPU))
+    assert [one.metric for one in found.lines] == ["ate.rmse", NOT_TRACKED]
+    assert (line(found, NOT_TRACKED).before, line(found, NOT_TRACKED).after) == failed
+
+
+def test_load_is_compared_of_the_runs_that_succeeded() -> None:
+    rows = [*study("first", 1.0), *study("second", 1.0, **{CPU: 30.0}), *failing("second")[:3]]
+    found = line(only([row | {"id": number} for number, row in enumerate(rows)], (CPU,)), CPU)
+    assert (found.wins, found.after) == ((3, 0, 0), pytest.approx(30.0))
 
 
 def test_what_was_not_edited_now_is_not_told_of() -> None:
     frame = frame_of([*study("first", 1.0), *study("second", 1.5)])
-    assert edits(frame, ("ate.rmse",), {"other"})[0] == []
+    assert edits(frame, ("ate.rmse",), {("algorithm", "other"): "0"})[0] == []
 
 
-def test_runs_that_shared_their_cores_are_counted_on_both_sides() -> None:
+def test_of_the_runs_before_and_after_those_that_shared_their_cores_are_counted_each_once() -> None:
     rows = [*study("first", 1.0), *study("second", 1.0, **{"usage.contendedSeconds": 30.0})]
-    assert only(rows).disturbed == (0, 12)
+    # Measured in two ways, and on two datasets: still no more runs than there were.
+    rows += [row | {"evaluation": "se3", "ate.rmse": 2 * row["ate.rmse"]} for row in rows]
+    rows += [row | {"dataset": "yard", "id": row["id"] + 5000} for row in rows]
+    found = only(rows)
+    assert (found.disturbed, found.runs) == ((0, 24), (24, 24))

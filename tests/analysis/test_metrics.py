@@ -15,7 +15,7 @@ from slamhive.model.errors import InputError
         ("ate.rmse", 0.012345, "0.01235", "ATE [m]"),
         ("ate.rmse:cm:.3f", 0.012348, "1.235", "ATE [cm]"),
         ("rpe[1].median:mm", 0.012345, "12.35", "RPE 2 median [mm]"),
-        ("beside.online.ate.rmse:cm", 0.012345, "1.234", "ATE RMSE of online [cm]"),
+        ("beside.online.ate.rmse:cm", 0.012345, "1.234", "ATE, causal [cm]"),
         ("usage.memory.peakBytes", 3 * 2**20, "3", "peak memory [MiB]"),
         ("usage.memory.peakBytes:GB:.2f", 3e9, "3.00", "peak memory [GB]"),
         ("coverage:%:.1f", 0.5, "50.0", "coverage [%]"),

@@ -192,3 +192,13 @@ def test_values_beyond_number_are_put_into_groups() -> None:
     found = predicted(known, asked)
     assert found.middles()[0] == pytest.approx(truth(asked), rel=0.1)
     assert len(found.effects) < 30
+
+
+@pytest.mark.parametrize(("pace", "factor"), [("Realtime", 0.5), ("Stepped", 0.5), ("Lockstep", 1.0)])
+def test_wall_time_of_what_is_played_follows_the_speed_of_playback(pace: str, factor: float) -> None:
+    """In Stepped time stands besides: how much longer that takes is told by the runs that are known."""
+    known = [Known(setting(pace=pace, seconds=100.0), {Quantity.WALL: 140.0 + number}) for number in range(5)]
+    asked = [setting(pace=pace, seconds=100.0), setting(pace=pace, seconds=100.0, rate=2.0)]
+    usual, fast = predicted(known, *asked, quantity=Quantity.WALL).middles()
+    assert usual == pytest.approx(142.0, rel=0.02)
+    assert fast == pytest.approx(factor * usual, rel=0.02)

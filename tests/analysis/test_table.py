@@ -14,11 +14,13 @@ from slamhive.analysis.boards import prepare
 from slamhive.analysis.columns import Column
 from slamhive.analysis.derived import SweepVersion, with_derived
 from slamhive.analysis.frame import Frame
-from slamhive.analysis.grouping import Outcomes, aggregate, varying
+from slamhive.analysis.grouping import Outcomes, aggregate, unranked_notes, varying
 from slamhive.analysis.leaderboard import leaderboard
+from slamhive.analysis.metrics import Metric
 from slamhive.analysis.selection import Selection, choose, order_by
 from slamhive.analysis.statistics import Numbers
 from slamhive.model.errors import InputError
+from slamhive.tables.text import table_lines
 
 
 def row(rmse: float | None = 1.0, outcome: str | None = "Tracked", **changes: Any) -> dict[str, Any]:
@@ -90,15 +92,84 @@ def test_a_disturbed_run_says_nothing_of_load_but_all_else_counts() -> None:
     assert cell.figures["usage.cpu.seconds"].summary == mean_of([9.0] * 3)
     assert cell.figures["ate.rmse"].summary == mean_of([1.0] * 3)
     assert "2 runs shared cores" in found.notes[-1]
+    # A run that was measured in two ways is one run all the same.
+    ended = row(None, None, reason="NodeLost")
+    both = [
+        one | {"id": n, "evaluation": way} for n, one in enumerate([*rows, ended]) for way in ("se3", "sim3")
+    ]
+    notes = aggregate(frame_of(both), ["usage.cpu.meanCores"]).notes
+    assert any(note.startswith("2 runs shared cores") for note in notes)
+    assert unranked_notes(frame_of(both), Outcomes.TRACKED)[0].startswith("1 NodeLost:")
 
 
-@pytest.mark.parametrize(("metric", "said"), [("usage.memory.peakBytes", True), ("ate.rmse", False)])
-def test_of_programs_that_fell_behind_memory_is_told_to_hold_what_waited(metric: str, said: bool) -> None:
+@pytest.mark.parametrize(
+    ("metric", "changes", "told"),
+    [
+        ("usage.memory.peakBytes", {}, "31 s late in 2 runs"),
+        ("usage.memory.peakBytes", {"prepared.frameRate": 10.0}, "31 s late in 2 runs"),
+        ("usage.memory.peakBytes", {"prepared.frameRate": 30.0}, "31 s late in 3 runs"),  # 6 frames
+        ("usage.memory.peakBytes", {"prepared.frameRate": 10.0, "input.rate": 3.0}, "31 s late in 3 runs"),
+        ("usage.memory.peakBytes", {"input.pace": "Stepped"}, None),  # the clock waited, no frame did
+        ("ate.rmse", {}, None),
+    ],
+)
+def test_of_nodes_whose_poses_came_late_memory_is_told_to_hold_what_waited(
+    metric: str, changes: dict[str, Any], told: str | None
+) -> None:
     late = "metrics.latencySeconds.max"
-    rows = [row(1.0, **{late: seconds, "usage.memory.peakBytes": 9.0}) for seconds in (0.2, 12.0, 31.4)]
-    notes = aggregate(frame_of(rows), [metric]).notes
-    told = "2 runs fell up to 31 s behind in real time: their memory holds what waited"
-    assert (told in notes) is said
+    rows = [
+        row(1.0, **{late: seconds, "usage.memory.peakBytes": 9.0, "input.pace": "Realtime"} | changes)
+        for seconds in (0.2, 12.0, 31.4)
+    ]
+    found = aggregate(frame_of(rows), [metric])
+    sentence = f"§ poses came up to {told}: memory says how far it fell behind, not what it needs"
+    assert [note for note in found.notes if "§" in note] == ([sentence] if told else [])
+    if metric.startswith("usage.memory."):
+        assert found.cells[0].late is (told is not None)
+
+
+PACES = ("Lockstep", "Realtime", "Stepped")
+
+
+@pytest.mark.parametrize("asked", [None, ("algorithm",), ("dataset",), ()])
+def test_runs_of_three_paces_are_never_averaged(asked: tuple[str, ...] | None) -> None:
+    rows = [row(error, **{"input.pace": pace}) for pace, error in zip(PACES, (1.0, 2.0, 4.0), strict=True)]
+    found = aggregate(frame_of(rows), ["ate.rmse"], asked)
+    assert {cell.keys["input.pace"]: cell.figures["ate.rmse"].summary for cell in found.cells} == {
+        pace: mean_of([error]) for pace, error in zip(PACES, (1.0, 2.0, 4.0), strict=True)
+    }
+
+
+def played(**changes: Any) -> dict[str, Any]:
+    """Return a row of a run to which a player played, and which published all its poses but once."""
+    return row(0.5, **{"input.pace": "Realtime", "metrics.posesPublished": 90, "coverage": 0.9} | changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "causal"),
+    [
+        ({}, 0.5),
+        ({"input.pace": "Stepped"}, 0.5),
+        ({"beside.online.ate.rmse": 0.8, "beside.online.outcome": "Tracked"}, 0.8),
+        ({"beside.online.outcome": "Lost"}, None),  # measured, without an error
+        ({"beside.online.message": "line 3: found 3 of 8 values"}, None),
+        ({"input.pace": "Lockstep"}, None),  # nobody heard when the program knew what
+        ({"metrics.posesPublished": 0}, None),
+        ({"metrics.posesPublished": None}, None),
+        ({"outcome": None, "ate.rmse": None, "reason": "AlgorithmFailed"}, None),
+    ],
+)
+def test_who_changed_no_pose_later_has_the_final_figures_as_causal_ones(
+    changes: dict[str, Any], causal: float | None
+) -> None:
+    other = row(2.0, **{"beside.online.ate.rmse": 3.0, "beside.online.outcome": "Tracked"})
+    frame = frame_of([played(**changes), other])
+    assert frame.column("beside.online.ate.rmse").tolist() == [causal, 3.0]
+    if causal == 0.5:
+        assert frame.column("beside.online.outcome").tolist()[0] == "Tracked"
+        assert frame.column("beside.online.coverage").tolist()[0] == 0.9
+    again = with_derived({name: frame.column(name) for name in frame.stored}, len(frame))
+    assert again.records(frame.names) == frame.records(frame.names)
 
 
 def test_all_evaluated_runs_on_request() -> None:
@@ -235,11 +306,91 @@ def test_equal_trajectories_are_one_result_whose_load_still_varies() -> None:
     assert cell.deterministic
     assert error is not None
     assert load is not None
-    assert (error.n, error.mean, error.std) == (3, 0.05, None)
-    assert load.std == 1.0
-    assert "deterministic: one result, n equal runs" in found.notes[-1]
+    assert (error.n, error.mean, error.std) == (1, 0.05, None)
+    assert (load.n, load.std) == (3, 1.0)
+    assert (cell.runs, cell.n, cell.copies) == (3, 1, 2)
+    assert "2 runs repeat another's trajectory; loads are of all runs" in found.notes[-1]
+    (loads,) = aggregate(frame_of(rows), ["usage.cpu.seconds"]).cells
+    assert (loads.n, loads.copies) == (3, 0)  # a sample of loads is of runs
     rows[0]["trajectory.sha256"] = "u"
     assert not aggregate(frame_of(rows), ["ate.rmse"]).cells[0].deterministic
+
+
+def repeated(ends: dict[Any, float | None], times: int = 3, **more: Any) -> list[dict[str, Any]]:
+    """Return runs of a deterministic program: by setting an error, or none where it fails."""
+    return [
+        row(error, error and "Tracked", reason=None if error else "AlgorithmFailed", **more)
+        | {"parameters.n": n, "repetition": k, "trajectory.sha256": error and f"t{n}"}
+        for n, error in ends.items()
+        for k in range(times)
+    ]
+
+
+def test_repetitions_of_a_deterministic_program_count_once_whatever_is_averaged_over() -> None:
+    """Eight settings run three times each: 24 runs, of which 8 say something of the errors."""
+    errors = {n: 0.01 * 2**n for n in range(8)}
+    rows = [one | {"usage.cpu.seconds": 1.0 + k} for k, one in enumerate(repeated(errors))]
+    found = aggregate(frame_of(rows), ["ate.rmse", "usage.cpu.seconds"], ["algorithm"])
+    (cell,) = found.cells
+    assert cell.figures["ate.rmse"].summary == mean_of(list(errors.values()))
+    assert (cell.runs, cell.n, cell.copies, cell.deterministic) == (24, 8, 16, False)
+    load = cell.figures["usage.cpu.seconds"].summary
+    assert load is not None
+    assert load.n == 24
+    assert any("16 runs repeat" in note for note in found.notes)
+    # Another program's equal trajectory is another result, and so is that on another dataset.
+    rows += [one | {"dataset": "e"} for one in rows]
+    assert [c.n for c in aggregate(frame_of(rows), ["ate.rmse"], ["algorithm", "dataset"]).cells] == [8, 8]
+
+
+def test_a_setting_that_always_fails_weighs_as_much_as_one_that_is_always_tracked() -> None:
+    """Else three equal failures would outweigh two results that came out three times each."""
+    frame = frame_of(repeated({1: 0.1, 2: 0.2, 3: None}))
+    (cell,) = aggregate(frame, ["ate.rmse"], ["algorithm"]).cells
+    assert cell.figures["ate.rmse"].censored_median == 0.2
+    assert (cell.n, cell.failures) == (2, {"AlgorithmFailed": 3})
+    assert cell.coverage is not None
+    assert (cell.coverage.n, cell.coverage.mean) == (3, pytest.approx(0.6))
+    (grid,) = prepare(frame, ["ate.rmse"], ("algorithm",), Outcomes.TRACKED).grids
+    assert grid.medians.tolist() == [[0.2]]
+
+
+def test_failures_of_a_program_that_fails_now_and_then_count_each() -> None:
+    rows = repeated({1: 0.1, 2: 0.2})
+    rows += [
+        row(None, None, reason="AlgorithmFailed") | {"parameters.n": 2, "repetition": k} for k in range(3)
+    ]
+    (cell,) = aggregate(frame_of(rows), ["ate.rmse"], ["algorithm"]).cells
+    assert cell.figures["ate.rmse"].censored == 3
+    assert cell.figures["ate.rmse"].censored_median == math.inf
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+def test_one_value_only_has_no_spread_at_any_scale(scale: float) -> None:
+    for times in (1, 12):
+        (cell,) = aggregate(frame_of(repeated({1: scale}, times)), ["ate.rmse"]).cells
+        figure = cell.figures["ate.rmse"]
+        assert figure.summary == mean_of([scale])
+        assert (figure.mean_interval, figure.median_interval) == (None, None)
+
+
+def test_cpu_of_an_adapter_that_reads_by_itself_and_tells_no_clock_is_marked_beside_others() -> None:
+    told = {"usage.cpu.seconds": 1.0, "usage.includesReader": False}
+    rows = [
+        row(1.0, algorithm="kiss-icp", **told, **{"usage.readerCpuSeconds": 0.1}),
+        row(1.0, algorithm="mine", **told, **{"usage.readerCpuSeconds": None}),  # as earlier versions said it
+        row(1.0, algorithm="mine-too", **told | {"usage.includesReader": None}),
+    ]
+    frame = frame_of(rows)
+    assert frame.column("usage.includesReader").tolist() == [False, None, None]
+    metrics = [Metric(name, "", 1.0, "") for name in ("ate.rmse", "usage.cpu.seconds")]
+    found = aggregate(frame, [one.column for one in metrics], ["algorithm"])
+    lines = table_lines(found, (), metrics)[1]
+    assert [["‡" in cell for cell in line[1:3]] for line in lines] == [[False, False]] + [[False, True]] * 2
+    assert any(note.startswith("‡ the CPU of mine, mine-too holds the reading") for note in found.notes)
+    # Where no other's is without it there is nothing beside which it could be misread.
+    assert not any("‡" in note for note in aggregate(frame_of(rows[1:]), ["usage.cpu.seconds"]).notes)
+    assert not any("‡" in note for note in aggregate(frame, ["ate.rmse"]).notes)
 
 
 def test_a_rank_is_lost_by_the_algorithms_own_failures_alone() -> None:
@@ -313,6 +464,41 @@ def test_equal_content_counts_once_as_the_run_that_computed_it() -> None:
     assert chosen.frame.column("id").tolist() == [1, 3, 4, 5]
     assert chosen.notes == ("2 runs repeat the content of others: equal content counts once",)
     assert len(choose(frame_of(rows), Selection(each=True)).frame) == 6
+
+
+OLD = "measured by an earlier version of the evaluation: evaluationVersion tells them apart"
+
+
+def test_versions_of_the_evaluation_are_never_averaged() -> None:
+    """The first version named itself nowhere."""
+    rows = [row(1.0), row(3.0), row(5.0, evaluationVersion=2), row(7.0, evaluationVersion=2)]
+    chosen = choose(frame_of(rows), Selection())
+    found = aggregate(chosen.frame, ["ate.rmse"])
+    told = [(cell.keys["evaluationVersion"], cell.figures["ate.rmse"].summary.mean) for cell in found.cells]
+    assert told == [(1, 2.0), (2, 6.0)]
+    assert [note for note in chosen.notes if "2 runs were " + OLD in note]
+    assert "slamhive results measure" in chosen.notes[0]
+    ranked = prepare(chosen.frame, ["ate.rmse"], ("algorithm",), Outcomes.TRACKED)
+    assert sorted(grid.facets["evaluationVersion"] for grid in ranked.grids) == [1, 2]
+
+
+def test_one_version_of_the_evaluation_is_not_told() -> None:
+    failed = row(None, None, reason="AlgorithmFailed")
+    for rows in ([row(1.0), failed], [row(1.0, evaluationVersion=2), failed]):
+        chosen = choose(frame_of(rows), Selection())
+        assert chosen.notes == ()
+        [cell] = aggregate(chosen.frame, ["ate.rmse"]).cells
+        assert "evaluationVersion" not in cell.keys
+        assert cell.failures == {"AlgorithmFailed": 1}
+    # Another evaluation may have stayed as it was.
+    both = [row(1.0, evaluation="mine"), row(2.0, evaluationVersion=2)]
+    assert choose(frame_of(both), Selection()).notes == ()
+
+
+def test_of_equal_content_what_the_later_version_measured_counts() -> None:
+    content = {"provenance.contentHash": "c"}
+    rows = [row(2.0, **content, created=1.0, evaluationVersion=2), row(1.0, **content, created=2.0)]
+    assert choose(frame_of(rows), Selection()).frame.column("ate.rmse").tolist() == [2.0]
 
 
 def test_equal_content_measured_in_two_ways_counts_in_both() -> None:

@@ -18,6 +18,8 @@ from slamhive.model.results import Outcome, Phase, Result, RunRecord
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from sqlalchemy import Connection, Table
+
 
 @pytest.fixture
 def sqlite_url(tmp_path: Path) -> str:
@@ -85,39 +87,51 @@ def _put_version(url: str, version: int) -> None:
         with closing(sqlite3.connect(str(engine.url.database))) as file:
             held.backup(file)
         return
-    added = {"divided_to"}
+    added = {"note", "tags", "noted"} | ({"divided_to"} if version <= 3 else set())
     if version <= 2:
         added |= {"identity"}
     if version == 1:
         added |= {"namespace", "cluster", "sweep_uid", "evaluations"}
     with engine.begin() as connection:
         schema.metadata.create_all(connection)
-        schema.shapes.drop(connection)
+        if version <= 3:
+            schema.shapes.drop(connection)
         for table in schema.metadata.sorted_tables:
-            if table is schema.shapes:
-                continue
-            for column in table.columns:
-                if isinstance(column.type, schema.JsonDocument):
-                    kind = f'ALTER COLUMN "{column.name}" TYPE JSONB USING "{column.name}"::text::jsonb'
-                    unset = f'ALTER COLUMN "{column.name}" DROP DEFAULT'
-                    connection.execute(text(f"ALTER TABLE {table.name} {unset}, {kind}"))
-            cursor = held.execute(f"SELECT * FROM {table.name}")
-            names = [item[0] for item in cursor.description]
-            for name in sorted(added & set(table.columns.keys())):
-                connection.execute(text(f"ALTER TABLE {table.name} DROP COLUMN {name}"))
-            for values in cursor.fetchall():
-                row = {
-                    name: datetime.fromisoformat(value)
-                    if value is not None and isinstance(table.columns[name].type, schema.UtcDateTime)
-                    else value
-                    for name, value in zip(names, values, strict=True)
-                }
-                documents = {
-                    name for name in names if isinstance(table.columns[name].type, schema.JsonDocument)
-                }
-                marks = ", ".join(
-                    f"CAST(:{name} AS JSONB)" if name in documents else f":{name}" for name in names
-                )
-                columns = ", ".join(f'"{name}"' for name in names)
-                connection.execute(text(f"INSERT INTO {table.name} ({columns}) VALUES ({marks})"), row)
+            if version > 3 or table is not schema.shapes:
+                _fill(connection, table, held, added, "JSON" if version > 3 else "JSONB")
     engine.dispose()
+
+
+def _fill(
+    connection: Connection, table: Table, held: sqlite3.Connection, added: set[str], documents: str
+) -> None:
+    """Make a table one of an earlier version, with its rows.
+
+    Args:
+        connection: where it is.
+        table: as it is today.
+        held: has the rows.
+        added: columns that it did not have then.
+        documents: the type of its documents then.
+    """
+    of_documents = {column.name for column in table.columns if isinstance(column.type, schema.JsonDocument)}
+    for name in sorted(of_documents):
+        kind = f'ALTER COLUMN "{name}" TYPE {documents} USING "{name}"::text::{documents}'
+        unset = f'ALTER COLUMN "{name}" DROP DEFAULT'
+        connection.execute(text(f"ALTER TABLE {table.name} {unset}, {kind}"))
+    for name in sorted(added & set(table.columns.keys())):
+        connection.execute(text(f"ALTER TABLE {table.name} DROP COLUMN {name}"))
+    cursor = held.execute(f"SELECT * FROM {table.name}")
+    names = [item[0] for item in cursor.description]
+    marks = ", ".join(
+        f"CAST(:{name} AS {documents})" if name in of_documents else f":{name}" for name in names
+    )
+    columns = ", ".join(f'"{name}"' for name in names)
+    for values in cursor.fetchall():
+        row = {
+            name: datetime.fromisoformat(value)
+            if value is not None and isinstance(table.columns[name].type, schema.UtcDateTime)
+            else value
+            for name, value in zip(names, values, strict=True)
+        }
+        connection.execute(text(f"INSERT INTO {table.name} ({columns}) VALUES ({marks})"), row)

@@ -379,11 +379,11 @@ def test_a_newer_archive_is_refused(url: str, make_run: MakeRun, monkeypatch: py
         archive.put_run(make_run())
     monkeypatch.setattr(schema, "VERSION", 2)
     for attempt in (Archive.open, upgrade):
-        with pytest.raises(InputError, match=r"newer slamhive \(schema 4; this one knows up to 2\)"):
+        with pytest.raises(InputError, match=r"newer slamhive \(schema 5; this one knows up to 2\)"):
             attempt(url)
 
 
-@pytest.mark.parametrize("version", [1, 2, 3])
+@pytest.mark.parametrize("version", [1, 2, 3, 4])
 def test_an_archive_of_an_earlier_version_waits_for_its_upgrade(
     url: str, version: int, put_version: PutVersion
 ) -> None:
@@ -391,12 +391,12 @@ def test_an_archive_of_an_earlier_version_waits_for_its_upgrade(
     put_version(url, version)
     for read_only in (True, False):
         with pytest.raises(
-            InputError, match=rf"schema {version}; this one needs 4\); `slamhive archive upgr"
+            InputError, match=rf"schema {version}; this one needs 5\); `slamhive archive upgr"
         ):
             Archive.open(url, read_only=read_only)
     done = upgrade(url)
     assert done is not None
-    assert (done.before, done.after) == (version, 4)
+    assert (done.before, done.after) == (version, 5)
     assert upgrade(url) is None
     with Archive.open(url) as archive:
         assert archive.count() == 6
@@ -415,7 +415,7 @@ def test_a_running_slamhive_stops_writing_when_a_newer_one_takes_the_archive(
         old.put_run(make_run("a"))
         engine = create_engine(url.replace("postgresql://", "postgresql+psycopg://"))
         with engine.begin() as connection:
-            connection.execute(text("UPDATE slamhive_schema SET version = 5"))
+            connection.execute(text("UPDATE slamhive_schema SET version = 6"))
         engine.dispose()
         with pytest.raises(InputError, match="newer slamhive"):
             old.put_run(make_run("b"))

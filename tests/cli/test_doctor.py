@@ -24,7 +24,7 @@ from slamhive.kube.api.kinds import OUR_KINDS
 from slamhive.kube.user import readiness as cluster
 from slamhive.local.home.catalog import Workshop, load_workshop
 from slamhive.local.home.folder import Home
-from slamhive.local.programs import readiness
+from slamhive.local.programs import readiness, rosreadiness
 from slamhive.model.extras import how_to_install
 from slamhive.model.readiness import ReadinessRow, State, missing, there
 from slamhive.playback.ros import PACKAGES, find_ros
@@ -182,8 +182,8 @@ def test_without_an_engine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> N
 
 
 def test_without_ros_it_is_missing_only_where_an_algorithm_takes_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(readiness, "find_ros", lambda: None)
-    first = next(iter(readiness.ros(Workshop())))
+    monkeypatch.setattr(rosreadiness, "find_ros", lambda: None)
+    first = rosreadiness.ros1(Workshop())
     assert (first.check, first.state) == ("ROS 1", State.UNNEEDED)
 
 
@@ -196,7 +196,7 @@ def test_of_half_a_ros_the_missing_packages_are_named(
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path))
     find_ros.cache_clear()
-    first = next(iter(readiness.ros(load_workshop(Home.at(tmp_path / "home")))))
+    first = rosreadiness.ros1(load_workshop(Home.at(tmp_path / "home")))
     find_ros.cache_clear()
     assert first.found == "not whole, without python3-rosbag, rosout"
     assert first.helps.endswith("(on Debian 12: apt-get install python3-rosbag rosout)")

@@ -25,6 +25,7 @@ def interrupt(*_: object, **__: object) -> None:
         ("results export -o FILE", "slamhive.cli.results.csv_blocks"),
         ("report -o FILE", "slamhive.cli.report.choose_runs"),
         ("dataset add euroc/mh-01-easy", "slamhive.cli.datasets._add_sequence"),
+        ("dataset check synthetic-lidar", "slamhive.cli.datasets.open_workbench"),
         ("dataset list", "slamhive.cli.datasets.load_workshop"),
         ("results list", "slamhive.cli.main.load"),
         ("--version", "slamhive.cli.main._print_version"),

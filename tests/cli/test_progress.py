@@ -65,6 +65,13 @@ def test_a_lost_run_says_why() -> None:
     assert run_values(record)["message"] == why
 
 
+def test_a_tracked_run_with_an_error_out_of_proportion_says_so() -> None:
+    values = {"ate": {"rmse": 0.5}, "rpe": [{"rmse": 0.68, "delta": 1.0, "unit": "m"}]}
+    tracked = Result(evaluation="se3", outcome=Outcome.TRACKED, coverage=1.0, values=values)
+    record = RunRecord(uid="u", name="n", spec=SPEC, phase=Phase.SUCCEEDED, results=[tracked])
+    assert "RPE 0.68 m a metre" in run_line(record, "rings 8")
+
+
 def test_what_is_made_once_is_not_expected_of_each_run(
     job: Job, bench: Any, clock: Clock, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -40,6 +40,7 @@ def test_an_image_is_checked_as_a_process_is(
         image=IMAGE,
         command=["python3", "-ISc", text],
         files=[{"path": path, "template": template} for path, template in templates.items()],
+        includesReader=True,
     )
     with bench_for_checks(home, workshop_of(home)) as bench:
         executor = OnWorkstation.contained(bench, NAME, "tiny", pull=False)

@@ -194,6 +194,23 @@ def test_nanoseconds_are_exact(output: Path, word: str, seconds: str) -> None:
     assert (output / "trajectory.txt").read_text() == LINE.format(seconds)
 
 
+@pytest.mark.parametrize(
+    ("source", "text"),
+    [
+        (("Tum", "s", True), LINE.format(1) + "2 1 2 nan 0 0 0 1\n" + LINE.format(3)),
+        (("Euroc", "ns"), "1000000000 1 2 3 1 0 0 0\n2e9 1 2 3 nan 0 0 0\n3000000000 1 2 3 1 0 0 0\n"),
+        (("Kitti", "frame-index"), IDENTITY + IDENTITY.replace("1", "nan", 1) + IDENTITY),
+    ],
+)
+def test_rows_of_nan_are_kept_for_an_evaluation_to_count(output: Path, source: Any, text: str) -> None:
+    (output / "file").write_text(text)
+    frames = output / "frames.txt"
+    frames.write_text("".join(f"{10**9 * k}\n" for k in range(3)))
+    found = converted(output, DeclaredPoseFile("file", *source), str(frames))
+    assert np.isnan(found).any(axis=1).tolist() == [False, True, False]
+    assert (np.diff(found[:, 0]) > 0).all()
+
+
 WRONG: list[tuple[Any, str, str]] = [
     (
         ("Tum", "s"),
@@ -201,12 +218,17 @@ WRONG: list[tuple[Any, str, str]] = [
         "line 1: time stamp 1.40363658e+18 is no number of seconds",
     ),
     (("Tum", "s"), IDENTITY, "line 1: found 12 of 8 values; expected timestamp tx ty tz qx qy qz qw"),
+    (
+        ("Tum", "s"),
+        "0,5 1,5 2,5 3,5 0,0 0,0 0,0 1,0\n",
+        "line 1: found 16 of 8 values; numbers with a decimal comma? write a point",
+    ),
     (("Tum", "s"), "0 1 2 3 4 5 6 7\n", "line 1: the quaternion qx qy qz qw = 4 5 6 7 has norm 11.2, not 1"),
     (("Tum", "s"), LINE.format(2) + LINE.format(1), "line 2: time stamp 1.000000000 s comes before"),
     (
         ("Tum", "s"),
-        LINE.format(1) + "\n#\n2 1 2 nan 0 0 0 1\n",
-        "line 4: tz is nan; every value must be finite",
+        LINE.format(1) + "\n#\n2 1 2 inf 0 0 0 1\n",
+        "line 4: tz is inf; every value must be finite",
     ),
     (("Tum", "s"), LINE.format("1_0"), "line 1: '1_0' is no number"),
     (

@@ -71,6 +71,17 @@ def test_runs_are_sorted_paged_and_compared(browser: Any, site: str) -> None:
     browser.wait("location.pathname === '/compare' && document.querySelectorAll('tbody tr').length === 1")
 
 
+@pytest.mark.parametrize("width", [1280, 390])
+def test_who_a_row_is_about_is_seen_however_far_a_table_goes(browser: Any, site: str, width: int) -> None:
+    names = "run,algorithm,dataset,ate.rmse,ate.max,usage.cpu.meanCores,usage.memory.peakBytes,finished"
+    browser.open(f"{site}/runs?columns={names}", width=width)
+    browser.wait("document.querySelector('.beyond')?.innerText.includes('to the right')")
+    browser.run("document.querySelector('.scroll').scrollLeft = 1e6")
+    browser.wait("document.querySelector('.beyond').innerText === ''")
+    seen = "(one) => one.getBoundingClientRect().left >= 0"
+    assert browser.run(f"[...document.querySelectorAll('td.stays0, th.stays0')].every({seen})")
+
+
 def test_columns_are_chosen(browser: Any, site: str) -> None:
     browser.open(f"{site}/runs")
     browser.click("summary", "Columns")
@@ -155,6 +166,9 @@ def test_studies_keep_their_filters(browser: Any, site: str) -> None:
     browser.wait("document.body.innerText.includes('Who is better than whom: CPU')")
     browser.click(".tabs a", "Repeatability")
     browser.wait("document.body.innerText.includes('Repetitions over their median: CPU')")
+    heads = browser.run("[...document.querySelectorAll('th')].map((one) => one.innerText.trim())")
+    assert heads.index("in words") < heads.index("runs"), "what the page is about isn't cut off"
+    assert "different results" in heads
     assert browser.run("document.querySelector('.chip').innerText").startswith("dataset = hall")
 
 

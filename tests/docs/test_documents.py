@@ -120,6 +120,18 @@ def test_manifests_are_valid(document: Path, tmp_path: Path) -> None:
             assert plan_problems(Plan(single, workshop)) == []
 
 
+PAGES = sorted((ROOT / "docs" / "algorithms").glob("*.md"))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_page_of_a_system_has_a_sweep_that_names_the_mode(page: Path) -> None:
+    written = [next(yaml.safe_load_all(block.text)) for block in blocks(page, "yaml")]
+    specs = [one["spec"]["template"]["spec"] for one in written if one.get("kind") == "Sweep"]
+    assert [spec["algorithmRef"]["name"] for spec in specs] == [page.stem], f"a Sweep of {page.stem}"
+    modes = load_workshop().algorithm(page.stem).algorithm.spec.modes
+    assert specs[0]["sensors"] in [mode.name for mode in modes]
+
+
 def parts_of_sweeps() -> list[Any]:
     parts = [
         pytest.param(block.text, id=f"{document.name}-{number}")

@@ -30,6 +30,7 @@ from slamhive_eval import (
     write_tum,
 )
 from slamhive_eval.formats import textfiles
+from slamhive_eval.formats.files import read_estimate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -77,7 +78,10 @@ def test_what_is_read_all_the_same(tmp_path: Path, text: str, pack: Callable[[by
         (GOOD + "3.0 1 2 3 0 0", 3, "found 6 of 8 values"),
         (GOOD + "3.0 1 2 x 0 0 0 1\n", 3, "'x' is no number"),
         (GOOD + "3.0 1 2 1_0 0 0 0 1\n", 3, "'1_0' is no number"),
-        (GOOD + "\n3.0 nan 2 3 0 0 0 1\n", 4, "tx is nan; every value must be a finite number"),
+        (GOOD + "\n3.0 inf 2 3 0 0 0 1\n", 4, "tx is inf; every value must be a finite number"),
+        ("3.0 nan 2 3 0 0 0 1\n# c\nnan 0 0 0 0 0 0 0\n", None, "all 2 rows hold NaN: no pose"),
+        ("3.0 1 2 3 0 0 0 nan\n", None, "its only row holds NaN: no pose"),
+        ("nan 0 0 0 0 0 0 1\n" + GOOD + "# c\n1.5 1 2 3 0 0 0 1\n", 5, "1.500000000 s comes before"),
         (GOOD + "3.0 1 2 3 0 0 0 inf\n", 3, "qw is inf"),
         (GOOD + "# c\n1.5 1 2 3 0 0 0 1\n", 4, "1.500000000 s comes before the one above it, 2.000000000 s"),
         (GOOD + "3.0 1 2 3 0 0 0 0\n", 3, "the quaternion is zero"),
@@ -113,6 +117,63 @@ def test_missing_and_truncated_files(tmp_path: Path) -> None:
         read_tum(cut)
 
 
+ROW = "{} 1 2 3 0 0 0 1"
+MATRIX = "1 0 0 {} 0 1 0 0 0 0 1 0"
+
+
+@pytest.mark.parametrize(
+    ("lines", "stamps", "positions"),
+    [
+        ([ROW.format(1), ROW.format(2).replace("3", "NaN"), ROW.format(3)], [1, 3], [1, 1]),
+        ([ROW.format("nan"), "#", ROW.format(2), "3 1 2 3 nan nan nan nan", ROW.format(4)], [2, 4], [1, 1]),
+        (["t,x,y,yaw_deg", "1,1,2,90", "2,1,2,nan", "3,1,2,0"], [1, 3], [1, 1]),
+        ([MATRIX.format(k) for k in (5, "nan", 7, 8)], [0, 2, 3], [5, 7, 8]),
+        ([f"{k} {MATRIX.format(x)}" for k, x in ((0, 5), (2, "nan"), (6, 7))], [0, 6], [5, 7]),
+    ],
+)
+def test_rows_of_nan_are_left_out_and_counted(
+    tmp_path: Path, lines: list[str], stamps: list[float], positions: list[float]
+) -> None:
+    file = tmp_path / "t"
+    file.write_text("\n".join(lines) + "\n")
+    found = read_trajectory(file)
+    assert (found.stamps.tolist(), found.positions[:, 0].tolist()) == (stamps, positions)
+    total = len([line for line in lines if not line.startswith(("#", "t,"))])
+    assert found.nan_rows == total - len(stamps)
+    assert found.notes[0].startswith(f"{found.nan_rows} of {total} rows hold")
+    assert found.select(slice(1, None)).transformed(np.eye(3), np.ones(3)).nan_rows == found.nan_rows
+
+
+def test_frames_of_nan_keep_the_others_their_places(tmp_path: Path) -> None:
+    """Line k is frame k, with stamp k of the times, whatever lines hold NaN; the last one too."""
+    poses, times, truth = tmp_path / "poses", tmp_path / "times", tmp_path / "truth"
+    truth.write_text("\n".join(MATRIX.format(k) for k in range(5)))
+    poses.write_text("\n".join(MATRIX.format(k if k in {0, 2, 3} else "nan") for k in range(5)))
+    times.write_text("\n".join(str(10 + k) for k in range(5)))
+    assert read_kitti(poses, times).stamps.tolist() == [10, 12, 13]
+    reference = read_kitti(truth)
+    estimate = read_estimate(poses, reference, truth)
+    assert evaluate(reference, estimate, Options(alignment="none")).ate.max == 0
+    (tmp_path / "few").write_text("10\n11\n12\n13\n")
+    with pytest.raises(FileError, match="has 4 stamps for the 5 poses"):
+        read_kitti(poses, tmp_path / "few")
+
+
+def test_an_evaluation_counts_rows_of_nan(tmp_path: Path, wander: Callable[..., Trajectory]) -> None:
+    truth = wander()
+    file = tmp_path / "t"
+    write_tum(file, truth)
+    lines = file.read_text().splitlines()
+    file.write_text(
+        "\n".join(line.rsplit(" ", 1)[0] + " nan" if k % 10 else line for k, line in enumerate(lines))
+    )
+    found = evaluate(truth, read_tum(file), Options()).as_dict()
+    assert (found["nanRows"], found["estimatePoses"], found["poses"]) == (180, 20, 20)
+    assert found["notes"] == ["180 of 200 rows hold NaN and were left out"]
+    assert found["coverage"] < 1
+    assert "nanRows" not in evaluate(truth, truth, Options()).as_dict()
+
+
 def test_unsorted_poses_are_sorted_on_request_only(tmp_path: Path) -> None:
     file = tmp_path / "t.txt"
     file.write_text("2 2 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n3 3 0 0 0 0 0 1\n2 4 0 0 0 0 0 1\n")
@@ -121,8 +182,8 @@ def test_unsorted_poses_are_sorted_on_request_only(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_tum(file, unsorted="sort").positions[:, 0], (1, 2, 4, 3))
     file.write_text("".join(f"{k % 2} {k} 0 0 0 0 0 1\n" for k in range(100)))
     np.testing.assert_array_equal(read_tum(file, unsorted="sort").positions[:50, 0], np.arange(0, 100, 2))
-    file.write_text("2 2 0 0 0 0 0 1\n1 nan 0 0 0 0 0 1\n")
-    with pytest.raises(FileError, match="line 2: tx is nan"):
+    file.write_text("2 2 0 0 0 0 0 1\n0 nan 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n1 inf 0 0 0 0 0 1\n")
+    with pytest.raises(FileError, match="line 4: tx is inf"):
         read_tum(file, unsorted="sort")
 
 
@@ -144,7 +205,9 @@ def test_euroc(tmp_path: Path) -> None:
         ("1 0 0 0 0 1 0 0 0 0 1\n", "0\n", "poses, line 1: found 11 of 12 values"),
         ("1 0 0 0 0 1 0 0 0 0 -1 0\n", "0\n", "poses, line 1: the left 3×3 part is no rotation"),
         ("2 0 0 0 0 2 0 0 0 0 2 0\n", "0\n", "no rotation"),
-        ("1 0 0 nan 0 1 0 0 0 0 1 0\n", "0\n", "must be a finite number"),
+        ("1 0 0 inf 0 1 0 0 0 0 1 0\n", "0\n", "must be a finite number"),
+        ("1 0 0 nan 0 1 0 0 0 0 1 0\n", "0\n", "poses: its only row holds NaN"),
+        ("1 0 0 nan 0 1 0 0 0 0 1 0\n2 0 0 0 0 1 0 0 0 0 1 0\n", "0\n1\n", "poses, line 2: the left"),
         ("1 0 0 5 0 1 0 0 0 0 1 0\n" * 2, "0\n", "times: has 1 stamps for the 2 poses of"),
         ("1 0 0 5 0 1 0 0 0 0 1 0\n" * 2, "1\n0\n", "times, line 2: time stamp"),
         ("1 0 0 5 0 1 0 0 0 0 1 0\n" * 2, "1\nx\n", "times, line 2: 'x' is no number"),

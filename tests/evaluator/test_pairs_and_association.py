@@ -36,26 +36,43 @@ def along(lengths: list[float]) -> Trajectory:
 def test_nearest_of_the_longer_for_each_of_the_shorter(
     reference: list[float], estimate: list[float], tolerance: float, offset: float
 ) -> None:
+    """Evo's pairs; of those that share a pose of the longer one the closest, the first of equally close."""
     found = associate(at(reference), at(estimate), tolerance, offset)
     longer = np.array(estimate) + offset if len(estimate) > len(reference) else np.array(reference) - offset
     shorter = reference if len(estimate) > len(reference) else estimate
-    index = (found.reference, found.estimate)
+    index = (found.reference.tolist(), found.estimate.tolist())
     of_short, of_long = index if len(estimate) > len(reference) else index[::-1]
     gaps = [np.abs(longer - stamp).min() for stamp in shorter]
-    assert of_short.tolist() == [k for k, gap in enumerate(gaps) if gap <= tolerance]
     for i, j in zip(of_short, of_long, strict=True):
-        assert abs(longer[j] - shorter[i]) == gaps[i]
+        assert abs(longer[j] - shorter[i]) == gaps[i] <= tolerance
         assert longer[j] == longer[np.argmin(np.abs(longer - shorter[i]))]
+    assert of_short == sorted(set(of_short))
+    assert of_long == sorted(set(of_long))
+    taken = {longer[j]: gaps[i] for i, j in zip(of_short, of_long, strict=True)}
+    for i, gap in enumerate(gaps):
+        if gap <= tolerance and i not in of_short:
+            assert taken[longer[np.argmin(np.abs(longer - shorter[i]))]] <= gap
 
 
-def test_the_second_of_equally_long_ones_counts_as_the_shorter() -> None:
+def test_many_poses_never_share_one() -> None:
+    """A short estimate at 200 Hz beside a long ground truth at 10 Hz; an estimate of one stamp."""
+    truth = at((np.arange(300) / 10).tolist())
+    dense = associate(truth, at((2.0 + np.arange(200) / 200 + 0.001).tolist()), 0.05)
+    assert dense.reference.tolist() == list(range(20, 31))
+    assert dense.estimate.tolist() == [*range(0, 200, 20), 199]
+    assert associate(truth, at([3.0] * 200)).reference.tolist() == [30]
+
+
+def test_of_equally_long_ones_the_estimate_counts_as_the_shorter() -> None:
     found = associate(at([0.0, 1.0, 2.0]), at([0.0, 0.001, 2.0]))
-    assert found.reference.tolist() == [0, 0, 2]
-    assert found.estimate.tolist() == [0, 1, 2]
+    assert found.reference.tolist() == [0, 2]
+    assert found.estimate.tolist() == [0, 2]
 
 
 def test_of_equal_stamps_the_last_is_taken_as_in_evo() -> None:
-    assert associate(at([1.0, 2.0, 2.0, 3.0]), at([2.0, 2.005])).reference.tolist() == [2, 2]
+    found = associate(at([1.0, 2.0, 2.0, 3.0]), at([2.0, 2.005]))
+    assert found.reference.tolist() == [2]
+    assert found.estimate.tolist() == [0]
 
 
 @given(steps, st.sampled_from((0.25, 0.5, 1.0)), st.sampled_from((0.0, 0.25, 1.0)))

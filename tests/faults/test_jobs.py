@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -54,6 +55,8 @@ class Pod:
                 content = path.read_bytes()
                 if path.name == "variant.json":  # it knows when its recording was made
                     content = json.dumps(json.loads(content) | {"state": None}).encode()
+                # Findings are kept by the state of files, which no other pod's have.
+                name = re.sub(r"generated/findings/\w+", "generated/findings/ANY", name)
                 found[name] = hashlib.sha256(content).hexdigest()
         return found
 

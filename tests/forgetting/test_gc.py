@@ -17,6 +17,7 @@ from slamhive.data.store.datasets import made_folder
 from slamhive.local.home.catalog import load_workshop
 from slamhive.local.home.folder import lock
 from slamhive.local.programs.environments import Environments
+from slamhive.local.programs.unavailable import Unavailable
 from slamhive.model.errors import SystemFault
 
 if TYPE_CHECKING:
@@ -196,7 +197,7 @@ def test_environments_and_assets_stay_while_the_catalog_or_a_run_needs_them(
     folder = algorithm(lab, "mine", assets=[asset])
     lab.run("a")
     entry = load_workshop(lab.home).algorithm("mine")
-    needed = whole(Environments(root).folder_of(entry) or root)
+    (needed,) = map(whole, Environments(root).folders_of(entry))
     used, neither, half = whole(root / ("1" * 16)), whole(root / ("2" * 16)), root / ("3" * 16 + ".making")
     half.mkdir()
     (lab.folder("a") / "supervisor.json").write_text(f'{{"argv": ["{used}/bin/python"]}}')
@@ -220,6 +221,22 @@ def test_environments_and_assets_stay_while_the_catalog_or_a_run_needs_them(
     assert there([needed, used]) == [False, False]
 
 
+def test_the_ros_2_player_stays_while_the_catalog_has_a_node(lab: Any, slamhive: Callable[..., Any]) -> None:
+    entry = load_workshop(lab.home).algorithm("kiss-icp-ros2")
+    try:
+        folders = Environments(lab.home.path / "environments").folders_of(entry)
+    except Unavailable as error:
+        pytest.skip(str(error))
+    both = [whole(folder) for folder in folders]
+    assert len(both) == 2
+    lab.run("a")
+    said = slamhive("gc", "--yes")
+    assert "an algorithm of the catalog needs it" in said.out
+    assert there(both) == [True, True]
+    slamhive("gc", "--all", "--yes")
+    assert there(both) == [False, False]
+
+
 def test_recordings_stay_while_a_dataset_or_a_record_needs_them(
     lab: Any, slamhive: Callable[..., Any]
 ) -> None:
@@ -240,6 +257,7 @@ def test_leftovers_of_killed_work_go(lab: Any, slamhive: Callable[..., Any]) -> 
         path / ".archive.sqlite.ab12.making",
         path / "cache" / ".dashboard-x.npz",
         path / "assets" / ".fetching-x",
+        path / "findings" / ".aa.json.bb",
     ]
     for file in old:
         file.parent.mkdir(exist_ok=True)
@@ -257,6 +275,16 @@ def test_leftovers_of_killed_work_go(lab: Any, slamhive: Callable[..., Any]) -> 
         assert slamhive("gc", "--yes").code == 0
     assert not any(there([*old, *folders]))
     assert there([fresh, busy]) == [True, True]
+
+
+def test_what_was_found_in_recordings_stays_until_all_goes(lab: Any, slamhive: Callable[..., Any]) -> None:
+    lab.run("a")
+    kept = lab.home.folder("findings") / "aa.json"
+    kept.touch()
+    slamhive("gc", "--yes")
+    assert kept.exists()
+    slamhive("gc", "--all", "--yes")
+    assert not kept.exists()
 
 
 def test_home_says_what_takes_its_room(lab: Any, slamhive: Callable[..., Any], variants: list[Path]) -> None:

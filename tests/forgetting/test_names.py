@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.archive import CatalogEntry, SweepRecord
+from slamhive.archive import Archive, CatalogEntry, SweepRecord
 from slamhive.data.store.datasets import add_dataset, materialise
 from slamhive.local.home.catalog import load_workshop
+from slamhive.local.home.changes import set_aside
 from slamhive.local.home.folder import lock
 from slamhive.local.home.sweeping import require_own_name
 from slamhive.local.housekeeping import unlisting
@@ -93,10 +95,13 @@ def test_files_that_a_dataset_links_to_stay(lab: Any, slamhive: Callable[..., An
         (("algorithm", "remove", "nosuch"), "unknown algorithm 'nosuch'"),
         (("dataset", "rename", "hall", "synthetic-lidar"), "is known already: choose another name"),
         (("dataset", "rename", "hall", "den"), "a record refers to a dataset 'den'"),
-        (("dataset", "rename", "hall", "../x"), "is no name of a dataset"),
+        (("dataset", "rename", "hall", "../x"), "NEW: expected a name of lower-case letters"),
         (("dataset", "rename", "nosuch", "x"), "unknown dataset 'nosuch'"),
         (("sweep", "rename", "nosuch", "x"), "unknown sweep 'nosuch'"),
-        (("sweep", "rename", "s", "X"), "is no name of a sweep"),
+        (
+            ("sweep", "rename", "s", "My_Sweep"),
+            "NEW: expected a name of lower-case letters, digits, - and ., found 'My_Sweep'; try my-sweep",
+        ),
         (("sweep", "rename", "s", "t"), "a sweep 't' is known already"),
         (("sweep", "rename", "far", "x"), "is a cluster's"),
         (("sweep", "remove", "nosuch"), "unknown sweep 'nosuch'"),
@@ -221,6 +226,22 @@ def test_an_interrupted_renaming_is_gone_on_with(
     assert lab.records()["u-a"].spec["datasetRef"]["name"] == "room"
     assert hall.with_name("room-" + "a" * 16).is_dir()
     assert slamhive("dataset", "rename", "room", "hall").code == 0
+
+
+def test_of_a_run_that_was_edited_and_done_again_the_current_one_is_meant(
+    lab: Any, slamhive: Callable[..., Any]
+) -> None:
+    for version in ("v1", "v2", "v3"):
+        with Archive.open(lab.home.archive_url) as archive:
+            set_aside(archive, "u-a")
+        lab.run("a", version=version, content=f"{version}-content")
+    said = slamhive("results", "show", "a", "--json")
+    assert [row["provenance.algorithmHash"] for row in json.loads(said.out)] == ["v3"]
+    assert "3 runs are called a: u-a is the current one; by UID: u-a@v1-conte, u-a@v2-conte" in said.err
+    assert "v1" in slamhive("results", "show", "u-a@v1-conte").out
+    viewed = slamhive("view", "a")
+    assert "u-a is the current one" in viewed.err
+    assert "name one by its UID" not in viewed.err
 
 
 def test_an_algorithms_folder_stays_where_it_was_added_from(

@@ -27,7 +27,7 @@ def test_the_operator_reads_them(rendered: list[dict[str, Any]], tmp_path: Path)
 
 def test_defaults_are_those_of_the_operator(helm: Any, tmp_path: Path) -> None:
     found = settings(helm.objects(), tmp_path)
-    given = {"namespaces", "image", "evaluator_image", "player_image", "volumes", "pods"}
+    given = {"namespaces", "image", "evaluator_image", "player_image", "ros2_player_image", "volumes", "pods"}
     default = Settings.model_validate(
         {"namespaces": ["lab"], "image": "x", "volumes": {"results": {"claim": "r"}, "data": {"claim": "d"}}}
     )

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import cache
 from pathlib import Path
+from random import Random
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,6 @@ from slamhive.archive import schema
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from random import Random
 
     from sqlalchemy import Engine
 
@@ -83,6 +83,8 @@ def made_up(random: Random) -> Tables:
         "repetitions": random.choice(((0,), (0, 1, 2), (0, 0, 1, 2, 3))),
         "tracks": [TRACKS[:1], TRACKS, ()][random.randrange(3)],
         "missing": [random.choice((0.0, 0.0, 0.05, 0.2))],
+        # In such an archive the same comes out of the same setting each time, also how it fails.
+        "steady": [random.choice((None, None, random.random()))],
     }
     runs: list[dict[str, Any]] = []
     results: list[dict[str, Any]] = []
@@ -95,7 +97,7 @@ def made_up(random: Random) -> Tables:
         if random.random() < 0.9:
             run["evaluations"] = meant
         runs.append(run)
-        results += _results(random, run, evaluations, meant)
+        results += _results(random, run, evaluations, meant, kinds["steady"][0])
     return {"sweeps": sweeps, "runs": runs, "results": results}
 
 
@@ -164,8 +166,12 @@ def _run(
         spec["algorithmRef"] = {"name": algorithm}
     if dataset:
         spec["datasetRef"] = {"name": dataset}
-    phase, reason = _end(random)
     provenance = _provenance(random, spec, kinds, earlier)
+    chance = random
+    if picked["steady"] is not None and random.random() < 0.95:
+        asked = {name: value for name, value in spec.items() if name != "repetition"}
+        chance = Random(json.dumps([picked["steady"], asked, provenance.get("algorithmHash")]))
+    phase, reason = _end(chance)
     if picked["processor"]:
         provenance["cpuModel"] = picked["processor"]
     created = _time(random)
@@ -200,7 +206,7 @@ def _run(
         "usage": _usage(random, picked["reader"]),
         "frames": None,
         "metrics": {},
-        "trajectory": _trajectory(random, kinds["tracks"]) if phase == "Succeeded" else None,
+        "trajectory": _trajectory(chance, kinds["tracks"]) if phase == "Succeeded" else None,
         "evaluations": [],
         "provenance": provenance,
         "folder": None,
@@ -260,6 +266,8 @@ def _usage(random: Random, reader: bool | None) -> dict[str, Any] | None:
         usage["throttledSeconds"] = wall * random.choice((0.0, 0.001, 0.02))
     if reader is not None:
         usage["includesReader"] = reader
+        if not reader and random.random() < 0.8:
+            usage["readerCpuSeconds"] = random.choice((0.0, 0.5))
     return usage
 
 
@@ -284,6 +292,7 @@ def _results(
     run: Mapping[str, Any],
     evaluations: list[Any],
     meant: list[dict[str, Any]],
+    steady: float | None,
 ) -> list[dict[str, Any]]:
     if random.random() >= {"Succeeded": 0.9, "Failed": 0.05}.get(run["phase"], 0.0):
         return []
@@ -291,7 +300,11 @@ def _results(
     names = {one["evaluation"] for one in wanted}
     # Measured later by what nobody had meant at first.
     wanted += [_meant(random, one) for one in evaluations if one[0] not in names and random.random() < 0.1]
-    return [_result(random, run["id"], one) for one in wanted]
+    track = (run["trajectory"] or {}).get("sha256")
+    return [
+        _result(random if steady is None else Random(f"{steady} {track} {one}"), run["id"], one)
+        for one in wanted
+    ]
 
 
 def _result(random: Random, run: int, evaluation: Mapping[str, Any]) -> dict[str, Any]:
@@ -300,6 +313,8 @@ def _result(random: Random, run: int, evaluation: Mapping[str, Any]) -> dict[str
     for name in ("alignment", "settings"):
         if evaluation[name] is not None:
             values[name] = evaluation[name]
+    if random.random() < 0.5:
+        values["evaluationVersion"] = 2
     if random.random() < 0.95:
         rmse = random.choice(NUMBERS) if random.random() < 0.4 else random.uniform(0.001, 2)
         values["ate"] = {"rmse": rmse, "mean": rmse * 0.9}

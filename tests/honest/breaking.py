@@ -58,6 +58,12 @@ BREAKS = (
         "np.isfinite(created)",
     ),
     Break(
+        "equal results of a deterministic program count each time",
+        grouping.Copies.among,
+        "np.bincount(tracks)[tracks] > 1",
+        "np.bincount(tracks)[tracks] > 1_000",
+    ),
+    Break(
         "disturbed runs are in the figures of load",
         grouping.sound,
         "> 0)",

@@ -144,6 +144,7 @@ def _group(shown: Record, right: Group) -> list[str]:
     for name, value in (
         ("runs", right.runs),
         ("n", right.n),
+        ("copies", right.copies),
         ("failures", right.failures),
         ("total", sum(right.failures.values())),
         ("untracked", right.untracked),
@@ -177,7 +178,7 @@ def _printed(shown: Record, right: Group) -> list[str]:
             ("n", right.n),
             ("failures", right.failures),
             ("untracked", right.untracked),
-            ("deterministic", right.deterministic),
+            ("repeating", right.copies > 0),
         )
         if shown[name] != value
     ]
@@ -205,7 +206,9 @@ def _latex(shown: Record, right: Group) -> list[str]:
         wanted = [None if part is None else part * factor for part in (figure.mean, figure.std)]
         if not _rounded(mean.strip(), wanted[0]) or not _rounded(std.strip(), wanted[1]):
             found.append(f"{name} is {cell!r}, not {wanted[0]} ± {wanted[1]}")
-    count = str(right.n) if right.n == right.runs else f"{right.n}/{right.runs}"
+    counted = right.n + right.copies
+    of = f" ({counted}/{right.runs})" if right.copies else f"/{right.runs}"
+    count = str(right.n) if counted == right.runs else f"{right.n}{of}"
     if shown.get("n", count) != count:
         found.append(f"n is {shown['n']}, not {count}")
     return found

@@ -40,14 +40,15 @@ OF_ITSELF = {
 """Reasons for which the algorithm is to blame: such a run covered nothing, and is worse than any number."""
 
 FACETS = (
-    *("algorithm", "sensors", "dataset", "evaluation", "alignment", "settings", "input.pace"),
-    *("algorithm.version", "dataset.version"),
+    *("algorithm", "sensors", "dataset", "evaluation", "alignment", "settings", "evaluationVersion"),
+    *("input.pace", "algorithm.version", "dataset.version"),
 )
 """Columns that are never pooled."""
 
 OWNERS = {
     "alignment": "evaluation",
     "settings": "evaluation",
+    "evaluationVersion": "evaluation",
     "algorithm.version": "algorithm",
     "dataset.version": "dataset",
 }
@@ -174,6 +175,8 @@ def _of_run(run: Row, known: set[str]) -> Row:
         ("provenance", provenance),
     ):
         row |= flat(name, document or {})
+    if row.get("usage.includesReader") is False and row.get("usage.readerCpuSeconds") is None:
+        row["usage.includesReader"] = None  # nothing was taken out: whether it is in there isn't known
     return row
 
 
@@ -186,7 +189,7 @@ def _version(provenance: Row, known: set[str], names: Sequence[str]) -> str | No
 
 
 def _of_result(result: Row) -> Row:
-    row: Row = {}
+    row: Row = {"evaluationVersion": 1}  # the first version didn't name itself
     for name, value in result["values"].items():
         row |= flat(name, value)
     return row | {name: result[name] for name in ("evaluation", "outcome", "coverage")}
@@ -349,12 +352,15 @@ def meets(row: Row, condition: tuple[str, str, Any]) -> bool:
 
 
 def _once(rows: Sequence[Row]) -> list[Row]:
-    """Return rows without those of equal content, evaluation and settings as another one that stays."""
+    """Return rows without those of equal content, evaluation and settings as another one that stays.
+
+    One that the latest version of the evaluation measured goes before the others.
+    """
 
     def worth(row: Row) -> tuple[Any, ...]:
         blameless = row["reason"] not in INFRASTRUCTURE and row["phase"] != "Cancelled"
         measured, computed = row.get("outcome") is not None, row.get("provenance.reusedFrom") is None
-        return measured, blameless, computed, *lateness(row)
+        return measured, row.get("evaluationVersion") or 0, blameless, computed, *lateness(row)
 
     def identity(row: Row) -> tuple[Any, ...]:
         return row.get("provenance.contentHash"), row.get("evaluation"), row.get("settings")
@@ -451,7 +457,7 @@ class Figure:
     Attributes:
         n: how many.
         mean, median, min, max: None for no number.
-        std: None for less than two numbers, and for errors of runs that are all the same one.
+        std: None for less than two numbers.
     """
 
     n: int
@@ -470,10 +476,11 @@ class Group:
         keys: the values that they share, by column.
         rows: the rows.
         runs: their number.
-        n: number of those that count.
+        n: number of those that count; where errors are asked for, of different results among them.
+        copies: number of those that count and are left out of n.
         failures: those that don't, by status.
         untracked: rows that count and were not tracked, by status.
-        deterministic: whether all that count are one and the same trajectory, several times.
+        deterministic: whether all that count are one result, several times.
         coverage: of those of which it is known.
         figures: by metric.
     """
@@ -482,6 +489,7 @@ class Group:
     rows: tuple[Row, ...]
     runs: int
     n: int
+    copies: int
     failures: dict[str, int]
     untracked: dict[str, int]
     deterministic: bool
@@ -503,18 +511,59 @@ def groups(rows: Sequence[Row], question: Question) -> list[Group]:
 def group_of(rows: Sequence[Row], keys: Row, question: Question) -> Group:
     """Return the figures of a group's rows."""
     counting = [row for row in rows if counts(row, question.outcomes)]
-    same = is_deterministic(counting)
+    once = distinct(rows, question.outcomes)
+    results = [row for row in once if counts(row, question.outcomes)]
+    n = len(results) if any(map(is_error, question.metrics)) else len(counting)
     return Group(
         keys=keys,
         rows=tuple(rows),
         runs=len(rows),
-        n=len(counting),
+        n=n,
+        copies=len(counting) - n,
         failures=dict(Counter(row["status"] for row in rows if not counts(row, question.outcomes))),
         untracked=dict(Counter(row["status"] for row in counting if row["status"] != "Tracked")),
-        deterministic=same,
-        coverage=figure(number for row in rows if (number := covered(row)) is not None),
-        figures={name: figure_of(counting, name, deterministic=same) for name in question.metrics},
+        deterministic=n == 1 < len(counting),
+        coverage=figure(number for row in once if (number := covered(row)) is not None),
+        figures={name: figure_of(results if is_error(name) else counting, name) for name in question.metrics},
     )
+
+
+def distinct(rows: Sequence[Row], outcomes: str) -> list[Row]:
+    """Return the rows of a group without those that repeat the result of an earlier one.
+
+    Equal trajectories are one result. Failures without a trajectory are, where their setting and status are
+    equal, if the program is deterministic for all that the group shows.
+    """
+    judged = [row for row in rows if counts(row, outcomes) or failed(row, outcomes)]
+    ends, results = defaultdict(set), {}
+    for row in judged:
+        ends[setting(row)].add(row.get("trajectory.sha256") or row["status"])
+    tracks = [(row["trajectory.sha256"], counts(row, outcomes)) for row in judged if has_track(row)]
+    steady = len(set(tracks)) < len(tracks) and all(len(found) == 1 for found in ends.values())
+    for row in judged:
+        if has_track(row):
+            results[id(row)] = (row["trajectory.sha256"], counts(row, outcomes))
+        elif steady and not counts(row, outcomes):
+            results[id(row)] = (setting(row), row["status"])
+    firsts = {result: key for key, result in reversed(results.items())}
+    return [row for row in rows if id(row) not in results or firsts[results[id(row)]] == id(row)]
+
+
+def has_track(row: Row) -> bool:
+    """Tell whether a row's trajectory is known."""
+    return row.get("trajectory.sha256") is not None
+
+
+def setting(row: Row) -> tuple[Any, ...]:
+    """Return the settings and the measurement of a row, whichever repetition it is."""
+    names = sorted(name for name in row if name.startswith(SETTINGS) and row[name] is not None)
+    facets = [_hashable(row.get(name)) for name in FACETS]
+    return (*facets, *((name, _hashable(row[name])) for name in names))
+
+
+def is_error(name: str) -> bool:
+    """Tell whether a metric is an error, which follows from the trajectory."""
+    return name.startswith(ERRORS)
 
 
 def counts(row: Row, outcomes: str) -> bool:
@@ -522,16 +571,14 @@ def counts(row: Row, outcomes: str) -> bool:
     return row.get("outcome") is not None if outcomes == "all" else row["status"] == "Tracked"
 
 
-def is_deterministic(counting: Sequence[Row]) -> bool:
-    """Tell whether rows that count are several of the same trajectory."""
-    hashes = {row.get("trajectory.sha256") for row in counting}
-    return len(counting) > 1 and len(hashes) == 1 and None not in hashes
+def failed(row: Row, outcomes: str) -> bool:
+    """Tell whether a row that doesn't count failed of itself."""
+    return not counts(row, outcomes) and (row.get("outcome") is not None or row["status"] in OF_ITSELF)
 
 
-def figure_of(counting: Sequence[Row], name: str, *, deterministic: bool) -> Figure:
+def figure_of(counting: Sequence[Row], name: str) -> Figure:
     """Return the figure of a metric over the rows that count."""
-    found = figure(number for row in counting if (number := number_of(row, name)) is not None)
-    return replace(found, std=None) if deterministic and name.startswith(ERRORS) else found
+    return figure(number for row in counting if (number := number_of(row, name)) is not None)
 
 
 def number_of(row: Row, name: str) -> float | None:
@@ -579,7 +626,7 @@ class Standing:
     Attributes:
         group: its rows.
         median: infinite where it is a failed run; None where nothing can be ranked.
-        rank: from 1; None where nothing can be ranked.
+        rank: from 1; None where nothing can be ranked, and for who never succeeded on the board.
         unranked: rows left out of the median, by status.
     """
 
@@ -656,24 +703,27 @@ def _board(rows: Sequence[Row], facets: Row, question: Question) -> Board:
     standings = {}
     for (competitor, dataset), inside in _by_standing(rows, question).items():
         keys = dict(zip(question.competitors, competitor, strict=True)) | {"dataset": dataset}
-        ranked = [rankable(row, question) for row in inside]
+        once = distinct(inside, question.outcomes) if is_error(question.metrics[0]) else inside
+        ranked = [rankable(row, question) for row in once]
         numbers = [number for number in ranked if number is not None]
         standings[competitor, dataset] = Standing(
             group=group_of(inside, facets | keys, question),
             median=statistics.median(numbers) if numbers else None,
             rank=None,
             unranked=dict(
-                Counter(row["status"] for row, number in zip(inside, ranked, strict=True) if number is None)
+                Counter(row["status"] for row, number in zip(once, ranked, strict=True) if number is None)
             ),
         )
     shares = defaultdict(list)
+    metric = question.metrics[0]
+    succeeded = {who for (who, _), one in standings.items() if one.group.figures[metric].n}
     for (competitor, dataset), standing in standings.items():
-        if standing.median is None:
+        if standing.median is None or competitor not in succeeded:
             continue
         rivals = [
             other.median
             for (rival, there), other in standings.items()
-            if there == dataset and rival != competitor and other.median is not None
+            if there == dataset and rival != competitor and other.median is not None and rival in succeeded
         ]
         better = sum(median < standing.median for median in rivals)
         equal = sum(median == standing.median for median in rivals)
@@ -698,8 +748,7 @@ def rankable(row: Row, question: Question) -> float | None:
         number = number_of(row, metric)
         lost = number is None and row["status"] != "Tracked" and metric.startswith(ERRORS)
         return math.inf if lost else number
-    failed = row.get("outcome") is not None or row["status"] in OF_ITSELF
-    return math.inf if failed else None
+    return math.inf if failed(row, question.outcomes) else None
 
 
 def _ranks(scores: dict[tuple[Any, ...], Fraction]) -> dict[tuple[Any, ...], float]:

@@ -85,13 +85,26 @@ def test_no_row_is_lost_or_counted_twice() -> None:
             chosen_rows = reckoning.choose(rows, question).rows
             groups = reckoning.groups(chosen_rows, question)
             assert sum(group.runs for group in groups) == len(chosen_rows)
-            assert all(group.n + sum(group.failures.values()) == group.runs for group in groups)
+            assert all(
+                group.n + group.copies + sum(group.failures.values()) == group.runs for group in groups
+            )
             assert all(len({row.get("evaluation") for row in group.rows}) == 1 for group in groups)
             places = [
                 one for board in reckoning.boards(chosen_rows, question) for one in board.standings.values()
             ]
             assert sum(place.group.runs for place in places) == len(chosen_rows)
             seen["deterministic"] += sum(group.deterministic for group in groups)
+            seen["copies"] += sum(group.copies for group in groups)
+            kept = [reckoning.distinct(group.rows, question.outcomes) for group in groups]
+            assert all(
+                group.copies
+                == sum(reckoning.counts(row, question.outcomes) for row in group.rows)
+                - sum(reckoning.counts(row, question.outcomes) for row in once)
+                for group, once in zip(groups, kept, strict=True)
+            )
+            seen["equal failures"] += sum(
+                len(group.rows) - len(once) - group.copies for group, once in zip(groups, kept, strict=True)
+            )
             seen["failed"] += sum(place.median == float("inf") for place in places)
             seen["unranked"] += sum(place.median is None for place in places)
         seen.update(str(row["superseded"]) for row in rows)

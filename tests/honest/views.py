@@ -22,6 +22,7 @@ import os
 import re
 import subprocess
 import sys
+import warnings
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
@@ -147,9 +148,9 @@ class Views:
         """Return the rows of ``slamhive.results``."""
         given: Record = {"where": where(question), "evaluation": question.evaluation, "frame": library}
         options: Record = {name: True for name in ("superseded", "reused") if getattr(question, name)}
-        found = slamhive.results(
-            self.home, **given, **options, sweep=list(question.sweeps) or None, columns=[*SHOWN, "status"]
-        )
+        options |= {"sweep": list(question.sweeps) or None, "columns": [*SHOWN, "status"]}
+        with warnings.catch_warnings(action="ignore"):  # that none is meant
+            found = slamhive.results(self.home, **given, **options)
         rows = found.to_dict("records") if library == "pandas" else found.to_dicts()
         return [{name: _known(value) for name, value in row.items()} for row in rows]
 
@@ -207,7 +208,7 @@ class Views:
             groups.append(
                 {
                     "n": int(shown["n"].removesuffix(" =")),
-                    "deterministic": shown["n"].endswith(" ="),
+                    "repeating": shown["n"].endswith(" ="),
                     "failures": _words(failures),
                     "untracked": _words(untracked),
                     "figures": figures,
@@ -258,10 +259,11 @@ class Views:
                     if spread is not None or name == "std":
                         figures[metric][name] = None if spread is None else spread / factor
             failures = json.loads(row.pop("failures.by"))
-            runs, n, total = (int(row.pop(name)) for name in ("runs", "n", "failures"))
+            runs, n, copies, total = (int(row.pop(name)) for name in ("runs", "n", "copies", "failures"))
             row.pop("untracked", None)
             row.pop("untracked.by", None)
             group = {"keys": row, "runs": runs, "n": n, "failures": failures, "figures": figures}
+            group["copies"] = copies
             groups.append(group | {"total": total})
         return groups
 
@@ -401,7 +403,16 @@ class Report:
         return groups
 
 
-_NOT_KEYS = {"median.censored", "n", "untracked", "untracked.by", "deterministic", "failures.by"}
+_NOT_KEYS = {
+    "reader",
+    "median.censored",
+    "n",
+    "copies",
+    "untracked",
+    "untracked.by",
+    "deterministic",
+    "failures.by",
+}
 
 
 class _Tables(HTMLParser):
@@ -498,6 +509,7 @@ def _group(row: Record, question: Question) -> Record:
         "total": int(row.pop("failures")),
         "runs": int(row.pop("runs")),
         "n": int(row.pop("n")),
+        "copies": int(row.pop("copies")),
         "coverage": figures.pop("coverage"),
         "figures": figures,
     }
@@ -510,7 +522,7 @@ def _group(row: Record, question: Question) -> Record:
 def _cell(group: Record) -> Record:
     nothing = {"n": 0} | dict.fromkeys(PARTS[1:])
     return {
-        **{name: group[name] for name in ("keys", "runs", "n", "failures")},
+        **{name: group[name] for name in ("keys", "runs", "n", "copies", "failures")},
         "total": group["failed"],
         "coverage": group["coverage"] or nothing,
         "figures": {name: {part: found[part] for part in PARTS} for name, found in group["figures"].items()},
@@ -560,7 +572,14 @@ def read_latex(text: str, question: Question) -> list[Record]:
 
 
 def _plain(cell: str) -> str:
-    signs = (r"\textbf", r"\underline", r"\textit", r"\rotatebox{60}", r"\textsuperscript{\textdagger}")
+    signs = (
+        r"\textsuperscript{\textdaggerdbl}",
+        r"\textbf",
+        r"\underline",
+        r"\textit",
+        r"\rotatebox{60}",
+        r"\textsuperscript{\textdagger}",
+    )
     for command in signs:
         cell = cell.replace(command, "")
     cell = re.sub(r"\\([&%$#_{}])", r"\1", cell.replace(r"$\pm$", "±").replace("$n$", "n"))

@@ -9,6 +9,8 @@ import shutil
 import subprocess
 import sys
 import uuid
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import pytest
@@ -28,6 +30,10 @@ pytestmark = [
     ),
 ]
 MEGABYTE = 1_000_000
+ANSWER = "/tmp/answer"
+"""File of the test's own in a container, in which its programs print."""
+ADDED = {"evaluator": 150 * MEGABYTE, "shell-algorithm": MEGABYTE, "ros2-player": 275 * MEGABYTE}
+"""Bytes that each image may add to its base."""
 
 
 class Container:
@@ -40,33 +46,40 @@ class Container:
         subprocess.run(command, check=True, capture_output=True)
 
     def run(self, *command: str) -> str:
-        result = subprocess.run(
-            ["buildah", "run", "--isolation", "chroot", self.id, "--", *command],
-            check=False,
-            capture_output=True,
-            text=True,
-        )
-        assert result.returncode == 0, result.stderr
-        return result.stdout.strip()
+        # On a busy machine buildah may end before it has passed on what the program printed.
+        with TemporaryDirectory() as folder:
+            answer = Path(folder) / "answer"
+            answer.touch()
+            answer.chmod(0o666)
+            inside = ["sh", "-c", f'"$@" > {ANSWER}', "sh", *command]
+            mounted = ["--volume", f"{answer}:{ANSWER}"]
+            result = subprocess.run(
+                ["buildah", "run", "--isolation", "chroot", *mounted, self.id, "--", *inside],
+                check=False,
+                capture_output=True,
+                text=True,
+            )
+            assert result.returncode == 0, result.stderr
+            return answer.read_text().strip()
 
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Buildah:
-    """The images of the evaluator and of the shell's algorithm, up to date."""
-    command = [sys.executable, ROOT / "images" / "build", "--tool", "buildah", "evaluator", "shell-algorithm"]
+    """The images that are looked at, up to date."""
+    command = [sys.executable, ROOT / "images" / "build", "--tool", "buildah", *ADDED]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stdout + result.stderr
     return Buildah(tmp_path_factory.mktemp("logs"))
 
 
-@pytest.fixture(params=["evaluator", "shell-algorithm"])
+@pytest.fixture(params=ADDED)
 def container(built: Buildah, request: pytest.FixtureRequest) -> Iterator[Container]:
     made = Container(request.param)
     yield made
     subprocess.run(["buildah", "rm", made.id], check=True, capture_output=True)
 
 
-@pytest.mark.parametrize(("name", "most"), [("evaluator", 150 * MEGABYTE), ("shell-algorithm", MEGABYTE)])
+@pytest.mark.parametrize(("name", "most"), ADDED.items())
 def test_it_adds_little_to_its_base(built: Buildah, name: str, most: int) -> None:
     image = built.find(recipes()[name].reference)
     base = built.find(image.labels["org.opencontainers.image.base.name"]) if image else None
@@ -82,7 +95,7 @@ def test_nobody_runs_in_it_and_can_change_nothing(container: Container) -> None:
     find = f"find / -xdev {unread} -o -writable ! -type l -print 2>/dev/null || true"
     found = container.run("sh", "-c", find).splitlines()
     # buildah gives the working directory to the image's user, docker to root; at run time it is read-only.
-    assert set(found) <= {"/tmp", "/var/tmp", "/run/lock", "/slamhive"}
+    assert set(found) <= {"/tmp", "/var/tmp", "/run/lock", "/slamhive", ANSWER}
 
 
 def test_the_evaluator_has_what_it_needs_and_no_more(built: Buildah) -> None:
@@ -97,6 +110,21 @@ def test_the_evaluator_has_what_it_needs_and_no_more(built: Buildah) -> None:
         assert json.loads(container.run("python3", "-P", "-c", code)) == []
         cached = "import slamhive_eval as m, pathlib; print(pathlib.Path(m.__cached__).is_file())"
         assert container.run("python3", "-P", "-c", cached) == "True"
+    finally:
+        subprocess.run(["buildah", "rm", container.id], check=True, capture_output=True)
+
+
+def test_the_player_of_ros_2_has_what_it_needs_and_no_more(built: Buildah) -> None:
+    container = Container("ros2-player")
+    try:
+        modules = ("node", "bags", "wire")
+        code = (
+            f"import {', '.join(f'slamhive.playback.player.ros2.{module}' for module in modules)};"
+            "from importlib.util import find_spec;"
+            "print([name for name in ('pip', 'pydantic', 'slamhive.model') if find_spec(name)])"
+        )
+        assert container.run("python3", "-P", "-c", code) == "[]"
+        assert container.run("sh", "-c", "command -v pip cc gcc cmake || echo none") == "none"
     finally:
         subprocess.run(["buildah", "rm", container.id], check=True, capture_output=True)
 

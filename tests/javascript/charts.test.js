@@ -4,15 +4,16 @@ import assert from 'node:assert/strict';
 import test from 'node:test';
 import * as echarts from '/vendor/echarts.mjs';
 import { box } from '../../operator/slamhive/dashboard/static/charts/box.js';
+import { causal } from '../../operator/slamhive/dashboard/static/charts/causal.js';
 import { dumbbells } from '../../operator/slamhive/dashboard/static/charts/dumbbells.js';
 import { importanceCharts } from '../../operator/slamhive/dashboard/static/charts/importance.js';
+import { quantile } from '../../operator/slamhive/dashboard/static/charts/limits.js';
 import { line, lines } from '../../operator/slamhive/dashboard/static/charts/line.js';
 import { pairsChart } from '../../operator/slamhive/dashboard/static/charts/pairs.js';
 import {
   asCategories,
   axisOption,
   facets,
-  quantile,
   readAxis,
 } from '../../operator/slamhive/dashboard/static/charts/points.js';
 import {
@@ -33,6 +34,8 @@ import {
   publishedText,
   scatter,
 } from '../../operator/slamhive/dashboard/static/charts/scatter.js';
+import { scores, standings } from '../../operator/slamhive/dashboard/static/charts/standings.js';
+import { truthChart } from '../../operator/slamhive/dashboard/static/charts/truth.js';
 import { spreadChart, suspectChart } from '../../operator/slamhive/dashboard/static/charts/spread.js';
 import { overTime, plane } from '../../operator/slamhive/dashboard/static/charts/trajectory.js';
 import { dressed } from '../../operator/slamhive/dashboard/static/core/chart.js';
@@ -122,8 +125,20 @@ const aggregate = (groups) => ({
   metrics: [{ name: 'ate.rmse', title: 'ATE', kind: 'number', factor: 1 }],
   groups,
 });
+/** Groups of runs that were played to: name, final and causal error of each. */
+const played = (...rows) => ({
+  keys: [{ name: 'algorithm', title: 'algorithm', kind: 'text' }],
+  metrics: [
+    { name: 'ate.rmse', title: 'ATE, final [m]', label: 'ATE RMSE, final [m]', factor: 1 },
+    { name: 'beside.online.ate.rmse', title: 'ATE, causal [m]', label: 'ATE RMSE, causal [m]', factor: 1 },
+  ],
+  groups: rows.map(([algorithm, final, first]) => ({
+    keys: { algorithm },
+    figures: { 'ate.rmse': { median: final }, 'beside.online.ate.rmse': { median: first } },
+  })),
+});
 const LINE = { x: 'parameters.n', y: 'ate.rmse', figure: 'median', xlog: false, ylog: false };
-const SCATTER = { xlog: false, ylog: false, top: 9 };
+const SCATTER = { xlog: false, ylog: false };
 
 /** Each kind of chart, made with a text of the archive. */
 const CHARTS = {
@@ -136,6 +151,7 @@ const CHARTS = {
     }),
   line: (text) => line(aggregate([group(text, 1, 5), group(text, 2, 6), group('b', 1, 7)]), LINE),
   dumbbells: (text) => dumbbells([entry(text, 0.1, 2, 0.2, 1), entry('b', 0.2, 1, null, 2)]).option,
+  causal: (text) => causal(played([text, 0.1, 0.2], ['b', 0.2, 0.2], ['c', 0.3, null])).option,
   importance: (text) =>
     importanceCharts({
       parameters: [{ name: `parameters.${text}`, variance: 0.4 }],
@@ -153,8 +169,8 @@ const CHARTS = {
       groups: [{ keys: { algorithm: text }, n: 2, verdict: text, figure: { median: 1, min: 0.5, max: 2 } }],
     }).option,
   suspects: (text) => suspectChart([{ keys: { algorithm: text }, scale: 1.04, spread: 0.01, n: 3 }]).option,
-  plane: (text) => plane([track(text), track('b', [0, 1, null, 3])], track('truth').track, 'x', 'y', null),
-  'plane by error': (text) => plane([track(text, [0, 1, null, 3])], null, 'x', 'z', { low: 0, high: 3 }),
+  plane: (text) => plane([track(text), track('b', [0, 1, null, 3])], [track(text)], 'x', 'y', null),
+  'plane by error': (text) => plane([track(text, [0, 1, null, 3])], [], 'x', 'z', { low: 0, high: 3 }),
   'over time': (text) => overTime([{ name: text, t: [0, 1, 90], values: [1, null, 2] }], text, 'time [s]'),
 };
 
@@ -207,7 +223,45 @@ test('kept answers of a dashboard are drawn', () => {
   assert.ok(drawn(dumbbells(answer('/analysis/common').groups[0].entries).option).length > 1000);
 });
 
+test('suspect stretches of ground truth are shaded in time since its begin, with the limit', () => {
+  const { series, xAxis } = truthChart({
+    limit: 0.1,
+    stretches: [{ begin: 105, end: 107 }],
+    profile: [
+      [100, 0.02, 0.01],
+      [106, 0.3, 0.02],
+      [110, 0.02, 0.01],
+    ],
+  });
+  assert.deepEqual(series[1].markArea.data, [[{ xAxis: 5 }, { xAxis: 7 }]]);
+  assert.deepEqual(series[1].markLine.data, [{ yAxis: 0.1 }]);
+  assert.equal(xAxis.max, 10);
+});
+
+test('causal and final errors lie in one row for each competitor that has both', () => {
+  const option = causal(played(['a', 0.1, 0.2], ['b', 0.2, 0.2], ['c', 0.3, null])).option(SIZE);
+  assert.deepEqual(option.yAxis.data, ['a', 'b']);
+  const [, first, final] = option.series;
+  assert.deepEqual([first.name, final.name], ['causal: as first published', 'final: as corrected later']);
+  assert.deepEqual(
+    [first, final].map((one) => one.data.map(({ value }) => value)),
+    [
+      [
+        [0.2, 0],
+        [0.2, 1],
+      ],
+      [
+        [0.1, 0],
+        [0.2, 1],
+      ],
+    ],
+  );
+  assert.equal(option.xAxis.name, 'ATE RMSE [m]');
+});
+
 test('where nothing can be drawn there is no chart', () => {
+  assert.equal(causal(played(['a', 0.1, null])), null);
+  assert.equal(causal(aggregate([group('a', 1, 5)])), null);
   assert.equal(dumbbells([]), null);
   assert.equal(dumbbells([entry('a', 0.1, 1, null, 1)]), null);
   assert.equal(ratioChart({ settings: [] }, ERROR), null);
@@ -298,21 +352,50 @@ for (const [values, share, expected] of SHARES)
   test(`the quantile ${share} of ${values} is ${expected}`, () =>
     assert.equal(quantile(values, share), expected));
 
-test('points without a value are drawn above all others, in another shape', () => {
+test('points without a value are crosses in a field above the axes, not among values', () => {
   const data = points([1, 2, 3], [1, null, 3], { status: ['Tracked', 'Lost', 'Lost'] });
-  const [{ data: made }] = scatter(data, [0, 1, 2], SCATTER).series;
+  const { series, grid, yAxis } = scatter(data, [0, 1, 2], SCATTER);
+  const [{ data: made }, crosses] = series;
   assert.deepEqual(
     made.map((one) => one.value[1]),
-    [1, 9, 3],
+    [1, 3],
   );
-  assert.match(made[1].symbol, /^path/);
-  assert.deepEqual([made[0].symbol, made[2].symbol], ['circle', 'triangle']);
-  assert.equal(made[2].itemStyle.color, 'transparent');
+  assert.deepEqual([made[0].symbol, made[1].symbol], ['circle', 'triangle']);
+  assert.equal(made[1].itemStyle.color, 'transparent');
+  assert.deepEqual([crosses.data[0].value, crosses.yAxisIndex], [[2, 0, 1], 1]);
+  assert.ok(grid[1].top + grid[1].height < grid[0].top && yAxis[1].data[0] === 'failed');
 });
 
-test('points without x are left out, and those without y where there is no place for them', () => {
-  const data = points([1, null, 3], [1, 2, null]);
-  assert.equal(scatter(data, [0, 1, 2], { ...SCATTER, top: null }).series[0].data.length, 1);
+test('points without x are left out', () => {
+  const { series } = scatter(points([1, null, 3], [1, 2, 3]), [0, 1, 2], SCATTER);
+  assert.equal(series[0].data.length, 2);
+});
+
+test('charts of several datasets have the same axes unless they are to have their own', () => {
+  const data = points([1, 2, 30], [1, 2, 900], { facet: ['a', 'a', 'b'] });
+  const ends = (indices, own) => {
+    const { xAxis, yAxis } = scatter(data, indices, { ...SCATTER, own });
+    return [xAxis.min, xAxis.max, yAxis.min, yAxis.max];
+  };
+  assert.deepEqual(ends([0, 1], false), ends([2], false));
+  assert.notDeepEqual(ends([0, 1], true), ends([2], true));
+  const groups = aggregate([group('a', 1, 5), group('a', 2, 6), group('b', 90, 700), group('b', 100, 800)]);
+  const set = { ...LINE, facet: 'name', among: ['a', 'b'] };
+  const axes = (facetValue, own) => {
+    const { xAxis, yAxis } = line(groups, { ...set, facetValue, own });
+    return [xAxis.min, xAxis.max, yAxis.min, yAxis.max, xAxis.axisLabel.customValues];
+  };
+  assert.deepEqual(axes('a', false), axes('b', false));
+  assert.deepEqual(axes('a', true)[4], [1, 2], 'ticks are the values that were tried');
+});
+
+test('a setting of a line whose runs all failed is a cross above, not a gap that nobody sees', () => {
+  const data = aggregate([group('a', 1, 5), group('a', 2, 6), group('a', 3, 7)]);
+  data.groups[1].figures['ate.rmse'] = { n: 0, median: null, min: null, max: null };
+  const { series, yAxis } = line(data, LINE);
+  const crosses = series.at(-1);
+  assert.deepEqual([crosses.data[0].value, crosses.yAxisIndex, yAxis.length], [[2, 0], 1, 2]);
+  assert.ok(drawn(line(data, LINE)).length > 1000);
 });
 
 test('the legend names the setting whose values it tells, with its unit', () => {
@@ -404,6 +487,95 @@ test('a line over a column that the answer does not describe is drawn by its nam
   assert.match(line(data, LINE).yAxis.name, /^ate.rmse/);
 });
 
+const ranked = (name, ratio, datasets, rank = 1) => ({
+  keys: { algorithm: name },
+  rank,
+  ratio,
+  ratioInterval: ratio === null ? null : { low: 1, high: 2 * ratio },
+  runs: 3,
+  n: 3,
+  failed: ratio === null ? 3 : 0,
+  datasets: datasets.map((dataset) => ({
+    dataset,
+    median: ratio === null ? null : 0.1 * ratio,
+    medianFailed: ratio === null,
+  })),
+});
+const BOARD = {
+  facets: {},
+  datasets: ['hall', 'yard', 'street'],
+  entries: [
+    ranked('never', null, ['hall'], null),
+    ranked('one dataset', 1, ['hall'], 1),
+    ranked('failed', null, ['hall', 'yard', 'street'], 4),
+    ranked('third', 3, ['hall', 'yard', 'street'], 3),
+    ranked('second', 2, ['hall', 'yard', 'street'], 2),
+  ],
+};
+
+test('dots of the leaderboard say of how many results they are, within the axis', () => {
+  const { series } = standings(BOARD, ERROR).option(SIZE);
+  const labels = series[1].data.map(({ label }) => [label.formatter, label.align]);
+  assert.deepEqual(labels.at(-1), [`1×, n ${BOARD.entries[1].n}`, 'left']);
+});
+
+test('the leaderboard is sorted by the ratio to the best, and one dataset leads nobody on three', () => {
+  const { yAxis, series } = standings(BOARD, { ...ERROR, title: 'ATE' }).option(SIZE);
+  assert.deepEqual(yAxis[0].data, [
+    'second\nrank 2 on 3 of 3 datasets',
+    'third\nrank 3 on 3 of 3 datasets',
+    'one dataset\nrank 1 on 1 of 3 datasets',
+    'failed\nrank 4 on 3 of 3 datasets',
+    'never\nno rank on 1 of 3 datasets',
+  ]);
+  assert.deepEqual(
+    series[1].data.map((one) => [one.value[0], one.itemStyle?.color]),
+    [
+      [2, undefined],
+      [3, undefined],
+      [1, 'transparent'],
+    ],
+  );
+});
+
+test('what a dot is stands within the axes: right of the best at their left end, left of the worst', () => {
+  const metric = { ...ERROR, name: 'ate.rmse', title: 'ATE' };
+  const entries = [1, 2, 3].map((ratio) => ranked(`a${ratio}`, ratio, ['hall'], ratio));
+  for (const one of entries) one.ratioInterval = null;
+  for (const width of [1280, 360]) {
+    const { series } = standings({ ...BOARD, datasets: ['hall'], entries }, metric).option({ width });
+    assert.deepEqual(
+      series[1].data.map((one) => one.label.align),
+      ['left', undefined, 'right'],
+    );
+  }
+});
+
+test('who failed has a cross in a field of its own, none at the place of the best', () => {
+  const metric = { ...ERROR, name: 'ate.rmse', title: 'ATE' };
+  for (const { option } of [standings(BOARD, metric), scores(BOARD, metric, [])]) {
+    const made = option(SIZE);
+    const crosses = made.series.filter((one) => String(one.symbol).startsWith('path'));
+    assert.deepEqual([crosses.length, crosses[0].xAxisIndex, made.xAxis[1].data], [1, 1, ['failed']]);
+    const [axes, field] = made.grid;
+    assert.ok(SIZE.width - axes.right < field.left, 'the field lies beside the axes');
+    const values = made.series.filter((one) => one.type === 'scatter' && !one.xAxisIndex);
+    for (const one of values) for (const { value } of one.data) assert.ok(value[0] > 0);
+    assert.ok(drawn(option).length > 1000);
+  }
+  const fine = { ...BOARD, entries: BOARD.entries.slice(3) };
+  assert.ok(!Array.isArray(standings(fine, metric).option(SIZE).grid), 'nobody failed: no field');
+});
+
+test('a board of which all failed, or whose values span 18 decades, is drawn', () => {
+  const metric = { ...ERROR, name: 'ate.rmse', title: 'ATE' };
+  const failed = { ...BOARD, entries: BOARD.entries.filter((one) => one.ratio === null) };
+  const wide = { ...BOARD, entries: [1e-9, 1, 1e9].map((one) => ranked(`a${one}`, one, ['hall', 'yard'])) };
+  for (const board of [failed, wide])
+    for (const { option } of [standings(board, metric), scores(board, metric, [])])
+      assert.ok(drawn(option).length > 500);
+});
+
 test('who changed its rank says so at the larger of its errors', () => {
   const option = dumbbells([
     entry('a', 0.3, 2, 0.1, 1),
@@ -455,7 +627,7 @@ test('of a pair both directions are shown, the better competitor first', () => {
     pHolm: 0.01,
   };
   const { yAxis, series } = pairsChart([pair], ERROR).option(SIZE);
-  assert.deepEqual(yAxis.data, ['1  better', '2  worse']);
+  assert.deepEqual(yAxis.data, ['1\u00a0\u00a0better', '2\u00a0\u00a0worse']);
   assert.deepEqual(
     series[0].data.map((one) => [...one.value, one.told]),
     [
@@ -463,6 +635,17 @@ test('of a pair both directions are shown, the better competitor first', () => {
       [1, 0, 0.6, '4:1 *'],
     ],
   );
+});
+
+test('of a pair what may be chance is pale, however large its effect', () => {
+  const pair = { a: { algorithm: 'a' }, b: { algorithm: 'b' }, n: 1, wins: { a: 1, b: 0 }, effect: 1 };
+  const option = (pHolm) => pairsChart([{ ...pair, pHolm }], ERROR).option(SIZE);
+  const pale = (pHolm) => option(pHolm).series[0].data.map((one) => (one.itemStyle?.opacity ?? 1) < 0.5);
+  assert.deepEqual([1, null, 0.01].map(pale), [
+    [true, true],
+    [true, true],
+    [false, false],
+  ]);
 });
 
 test('a pair without an effect or a test is drawn without a colour and a star', () => {
@@ -485,7 +668,7 @@ test('a pair without an effect or a test is drawn without a colour and a star', 
   );
 });
 
-test('settings that fail now stand beyond the worst, those that recovered beyond the best', () => {
+test('settings that failed before or after are crosses in a field of their own', () => {
   const change = {
     settings: [
       setting(1, 1, 2),
@@ -496,11 +679,19 @@ test('settings that fail now stand beyond the worst, those that recovered beyond
     ],
   };
   /** @param {object} metric */
-  const drawnBy = (metric) => ratioChart(change, metric).option(SIZE).series[0].data;
-  const values = (metric) => drawnBy(metric).map((one) => one.value[0]);
-  assert.deepEqual(values(ERROR), [2, 2.2, 0.5 / 1.1, 1, 0.5]);
-  assert.deepEqual(values(ACCURACY), [2, 0.5 / 1.1, 2.2, 1, 0.5]);
-  const colours = (metric) => [0, 4].map((at) => drawnBy(metric)[at].itemStyle.color);
+  const made = (metric) => ratioChart(change, metric).option(SIZE);
+  const drawnBy = (metric) => made(metric).series[0].data;
+  assert.deepEqual(
+    drawnBy(ERROR).map((one) => one.value),
+    [
+      [2, 0],
+      [0.5, 4],
+    ],
+  );
+  const crosses = made(ERROR).series.at(-1);
+  assert.deepEqual([crosses.xAxisIndex, ...crosses.data.map((one) => one.value[1])], [1, 1, 2, 3]);
+  assert.equal(new Set(crosses.data.map((one) => one.itemStyle.color)).size, 3); // worse, better, the same
+  const colours = (metric) => drawnBy(metric).map((one) => one.itemStyle.color);
   assert.deepEqual(colours(ERROR), colours(ACCURACY).reverse());
   // Where nobody has said which way is good, nothing looks better.
   assert.equal(new Set(colours({ better: null })).size, 1);

@@ -18,7 +18,8 @@ import {
 import { cropped } from '../../operator/slamhive/dashboard/static/charts/cropping.js';
 import { curveCharts, ecdfChart, steps } from '../../operator/slamhive/dashboard/static/charts/ecdf.js';
 import { arranged, multiples, tooMany } from '../../operator/slamhive/dashboard/static/charts/multiples.js';
-import { labelsOf } from '../../operator/slamhive/dashboard/static/core/labels.js';
+import { fitted } from '../../operator/slamhive/dashboard/static/core/legend.js';
+import { differing, labelsOf, sharedBy } from '../../operator/slamhive/dashboard/static/core/labels.js';
 import {
   binCells,
   fullShare,
@@ -94,6 +95,8 @@ const group = (keys, median) => ({
   keys,
   runs: 3,
   n: median === null ? 0 : 2,
+  copies: 0,
+  reader: false,
   failed: median === null ? 3 : 1,
   failures: {},
   deterministic: false,
@@ -273,6 +276,45 @@ test('runs are called by the settings in which they differ', () => {
   ]);
 });
 
+test('settings that runs have differ, those of all are said once, those of some with their names', () => {
+  const runs = [
+    made('1', 'orb', { n: 500, k: 8, loops: true }),
+    made('2', 'orb', { n: 1000, k: 8, loops: true }),
+    made('3', 'icp', { k: 8, voxel: null }),
+  ];
+  assert.deepEqual(differing(runs), ['parameters.n']);
+  assert.deepEqual(sharedBy(runs, labelsOf(runs)), {
+    common: 'mono, hall, k 8',
+    some: [
+      { who: 'orb', what: 'loops yes' },
+      { who: 'icp', what: 'voxel –' },
+    ],
+  });
+});
+
+test('a sensor mode that follows from the algorithm is in no label', () => {
+  const runs = [made('1', 'orb', {}), made('2', 'icp', {}, { sensors: 'lidar' })];
+  assert.deepEqual(labelsOf(runs), ['orb', 'icp']);
+  assert.deepEqual(labelsOf([...runs, made('3', 'orb', {}, { sensors: 'stereo' })]), [
+    'orb, mono',
+    'icp, lidar',
+    'orb, stereo',
+  ]);
+});
+
+test('a legend has all names, of 63 letters too, and the drawing is higher by its rows', () => {
+  const series = ['a', 'b', 'c'].map((letter) => ({ name: letter.repeat(63) }));
+  const option = { legend: {}, grid: { top: 40 }, series };
+  const desk = fitted(option, 1200);
+  assert.deepEqual([desk.more, desk.option.grid.top, desk.option.legend.type], [22, 62, 'plain']);
+  const phone = fitted(option, 340);
+  assert.equal(phone.more, 5 * 22); // each name has two rows
+  assert.equal(phone.option.legend.textStyle.overflow, 'break');
+  const many = Array.from({ length: 200 }, (_, at) => ({ name: `series ${at}` }));
+  assert.deepEqual(fitted({ ...option, series: many }, 340).more, 0); // pages are turned
+  assert.deepEqual(fitted({ grid: {}, series }, 340).more, 0);
+});
+
 test('equal settings are told apart by repetition, then by the number of the run', () => {
   assert.deepEqual(
     labelsOf([
@@ -353,7 +395,7 @@ test('a timeline says of what the used share is', () => {
   // Running 80 of 200, preparing 20 + 20: a program that never started was prepared all the time.
   assert.match(
     usedText(timed({ bars: BARS })),
-    /^Of the 100 s of the 2 lanes, 40 % were spent running and 20 % /,
+    /^Of the 100 s of the 2 lanes, 40 % were spent running and 20 % preparing\. Of the other 40 % nobody/,
   );
   assert.match(usedText(timed({ bins: BINS })), / 3\.75 % were spent running/);
   // Of what is only partly in view, that part counts.

@@ -7,6 +7,7 @@ import {
   cell,
   clip,
   columnTitle,
+  shorten,
   shortTitles,
   headingOf,
   keysText,
@@ -93,6 +94,12 @@ test('texts are cut at their end, to a length', () => {
   assert.equal(clip('abcdefg', 6), 'abcde…');
   assert.equal(clip(null), 'null');
   for (const text of HOSTILE) assert.ok(clip(text, 48).length <= 48);
+});
+
+test('of a long name the part that comes last is read', () => {
+  assert.equal(shorten(`${'a'.repeat(63)}, street-05`, 24), 'aaaaaa…aaaaaa, street-05');
+  assert.equal(shorten('orb, hall', 24), 'orb, hall');
+  assert.ok(shorten('x, '.repeat(40), 12).length <= 12);
 });
 
 test('a text is cut between two characters, not within one', () => {

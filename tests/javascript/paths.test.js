@@ -8,13 +8,13 @@ import {
   overTime,
   pieces,
   plane,
-  RAMP,
-  ramp,
   shared,
   since,
   spanOf,
+  truthsOf,
 } from '../../operator/slamhive/dashboard/static/charts/trajectory.js';
 import { inks } from '../../operator/slamhive/dashboard/static/core/figure.js';
+import { ramp, SCALE } from '../../operator/slamhive/dashboard/static/core/scale.js';
 import { HOSTILE } from './helpers.js';
 
 const track = { t: [0, 1, 2, 3], x: [0, 4, 4, 0], y: [0, 0, 2, 2], z: [0, 0, 0, 1] };
@@ -63,14 +63,14 @@ test('one line has no legend unless it is asked for', () => {
 });
 
 test('colours of errors run from none to the largest and no further', () => {
-  const ends = [RAMP[0], RAMP.at(-1)].map((one) => `rgb(${one.join(',')})`);
+  const ends = [SCALE[0], SCALE.at(-1)];
   assert.deepEqual([ramp(0), ramp(1)], ends);
   assert.deepEqual([ramp(-5), ramp(7)], ends);
   assert.match(ramp(0.5), /^rgb\(\d+,\d+,\d+\)$/);
 });
 
 test('errors of poses without ground truth do not count', () => {
-  assert.deepEqual(errorRange([{ error: [null, 3, 1] }, { error: null }, {}]), { low: 1, high: 3 });
+  assert.deepEqual(errorRange([{ error: [null, 3, 1] }, { error: null }, {}]), { low: 0, high: 3 });
   assert.equal(errorRange([{ error: [null] }, {}]), null);
   assert.equal(errorRange([]), null);
 });
@@ -86,7 +86,7 @@ test('a metre of a plane is equally long on both axes', () => {
     [360, 400],
     [400, 1200],
   ]) {
-    const { grid, xAxis, yAxis } = plane([path], null, 'x', 'y', null)({ width, height });
+    const { grid, xAxis, yAxis } = plane([path], [], 'x', 'y', null)({ width, height });
     const across = (width - grid.left - grid.right) / (xAxis.max - xAxis.min);
     const up = (height - grid.top - grid.bottom) / (yAxis.max - yAxis.min);
     assert.ok(Math.abs(across / up - 1) < 1e-9);
@@ -97,24 +97,60 @@ test('a metre of a plane is equally long on both axes', () => {
 test('control points lie over the path, coloured by their errors, and within the axes', () => {
   const surveyed = { t: [0, 2, 9], x: [0, 4, 20], y: [0, 2, 2], z: [0, 0, 1], error: [0.5, 2, null] };
   const range = errorRange([track, surveyed]);
-  assert.deepEqual(range, { low: 0.5, high: 2 });
+  assert.deepEqual(range, { low: 0, high: 2 });
   const size = { width: 800, height: 400 };
-  const { series, visualMap, xAxis } = plane([path], null, 'x', 'z', range, surveyed)(size);
-  assert.deepEqual(series.at(-1).data, [
+  const { series, visualMap, xAxis } = plane([path], [], 'x', 'z', range, surveyed)(size);
+  const place = series.findIndex((one) => one.name === 'control points');
+  assert.deepEqual(series[place].data, [
     [0, 0, 0.5],
     [4, 0, 2],
     [20, 1, '-'],
   ]);
-  assert.equal(series.at(-1).name, 'control points');
-  assert.ok(visualMap.seriesIndex.includes(series.length - 1));
+  assert.ok(visualMap.seriesIndex.includes(place));
   assert.ok(xAxis.max >= 20);
-  const bare = plane([path], null, 'x', 'y', null)(size);
+  const bare = plane([path], [], 'x', 'y', null)(size);
   assert.ok(!bare.series.some((one) => one.name === 'control points'));
+});
+
+test('poses of the IMU and of the LiDAR have a ground truth each, which says whose it is', () => {
+  const low = { ...track, t: [1, 2, 3], x: [4, 4, 0], y: [0, 2, 2], z: [-0.3, -0.3, 0.7] };
+  const lidar = { of: 'kiss-icp', reference: track };
+  const truths = truthsOf([lidar, { of: 'rko-lio', reference: low }, { ...lidar, of: 'genz-icp' }]);
+  assert.deepEqual(
+    truths.map((one) => [one.name, one.track]),
+    [
+      ['ground truth of kiss-icp, genz-icp', track],
+      ['ground truth of rko-lio', low],
+    ],
+  );
+  const { series } = plane([path], truths, 'x', 'z', null)({ width: 800, height: 400 });
+  assert.deepEqual(series[1].data[0], [4, -0.3]);
+  assert.deepEqual(
+    truthsOf([lidar, { ...lidar, of: 'genz-icp' }, { of: 'x', reference: null }]).map((one) => one.name),
+    ['ground truth'],
+  );
+});
+
+test('a ring says where a path begins and a dot where it ends, also where it is closed', () => {
+  const named = (option) =>
+    option({ width: 800, height: 400 })
+      .series.flatMap((one) => one.data)
+      .filter((one) => one?.name);
+  const [start, end] = named(plane([path], [], 'x', 'z', null));
+  assert.deepEqual([start.name, start.value, end.name, end.value], ['start', [0, 0], 'end', [0, 1]]);
+  assert.equal(start.itemStyle.color, path.colour);
+  assert.notEqual(named(plane([path], [], 'x', 'z', { low: 0, high: 1 }))[0].itemStyle.color, path.colour);
+  assert.deepEqual(
+    named(plane([{ name: 'a', track: { t: [], x: [], y: [], z: [] } }], [], 'x', 'y', null)),
+    [],
+  );
+  const texts = drawing(scene([path], null), VIEW, 400, 300, inks(false)).texts.map((one) => one.text);
+  assert.ok(texts.includes('start') && texts.includes('end'));
 });
 
 test('a plane without a pose has axes of its own, one of a single pose some extent', () => {
   const of = (t, x) =>
-    plane([{ name: 'a', track: { t, x, y: x, z: x } }], null, 'x', 'y', null)({ width: 400, height: 400 });
+    plane([{ name: 'a', track: { t, x, y: x, z: x } }], [], 'x', 'y', null)({ width: 400, height: 400 });
   assert.equal(of([], []).xAxis.min, undefined);
   const { xAxis } = of([0], [7]);
   assert.ok(xAxis.min < 7 && xAxis.max > 7);

@@ -7,6 +7,7 @@ import { fileName, toCsv } from '../../operator/slamhive/dashboard/static/core/f
 import {
   columnOptions,
   isEmpty,
+  isMeasure,
   isNumeric,
   shownByFilters,
 } from '../../operator/slamhive/dashboard/static/core/filters.js';
@@ -18,8 +19,12 @@ import {
   quoted,
 } from '../../operator/slamhive/dashboard/static/core/questions.js';
 import { suspectOf } from '../../operator/slamhive/dashboard/static/core/suspects.js';
-import { failureText, groupTable } from '../../operator/slamhive/dashboard/static/pages/groups.js';
+import { settingsOf } from '../../operator/slamhive/dashboard/static/pages/explore.js';
+import { failureText, groupTable, onPhone } from '../../operator/slamhive/dashboard/static/pages/groups.js';
+import { cpuColumn } from '../../operator/slamhive/dashboard/static/core/format.js';
 import { loads } from '../../operator/slamhive/dashboard/static/pages/loads.js';
+import { folded } from '../../operator/slamhive/dashboard/static/pages/runrows.js';
+import { Bar, Spread } from '../../operator/slamhive/dashboard/static/pages/sweepcards.js';
 import { trackTable } from '../../operator/slamhive/dashboard/static/pages/tracks.js';
 import { answer, found, HOSTILE, text } from './helpers.js';
 
@@ -70,7 +75,7 @@ test('a table shows texts as texts, cut, with all of them at hand', () => {
   for (const hostile of HOSTILE) {
     const table = Table({ columns: [{ name: 'a' }], rows: [{ a: hostile }], caption: hostile });
     const [shown] = found(table, 'td');
-    assert.deepEqual(shown.props.children, hostile.length > 48 ? `${hostile.slice(0, 46)}…` : hostile);
+    assert.equal(text(shown), hostile.length > 48 ? `${hostile.slice(0, 46)}…` : hostile);
     assert.equal(shown.props.title, hostile.length > 48 ? hostile : null);
     assert.equal(found(table, 'img').length + found(table, 'script').length + found(table, 'svg').length, 0);
   }
@@ -98,7 +103,25 @@ test('numbers of a table stand to the right, in the shown unit', () => {
   assert.deepEqual(cells.map(text), ['1.5', 'x of 3']);
   assert.deepEqual(
     cells.map((one) => one.props.class),
-    ['number', ''],
+    ['number stays stays0', ''],
+  );
+});
+
+test('points of a column stand below one another, with no digit that nobody measured', () => {
+  const rows = [0.0132, 0.02053, 3, null, 1e-9].map((a) => ({ of: 'x', a }));
+  const cells = found(
+    Table({ columns: [{ name: 'of' }, { name: 'a', kind: 'number' }], rows, caption: '' }),
+    'td',
+  );
+  assert.deepEqual(
+    cells.filter((_, at) => at % 2).map((one) => [text(one), one.props['data-blank']]),
+    [
+      ['0.0132', '\u2007'],
+      ['0.02053', null],
+      ['3', `\u2008${'\u2007'.repeat(5)}`],
+      ['–', null],
+      ['1.000e-9', null],
+    ],
   );
 });
 
@@ -108,6 +131,40 @@ test('a choice keeps what the address says though it is not offered', () => {
     found(Choice({ label: 'x', value, options, onChange: () => {} }), 'option').map((one) => one.props.value);
   assert.deepEqual(values('b'), ['a', 'b']);
   assert.deepEqual(values('gone'), ['gone', 'a', 'b']);
+});
+
+test('a menu of very many is searched: 200 metrics are no list to scroll', () => {
+  const metrics = Array.from({ length: 200 }, (_, at) => [`metrics.m${at}`, `m${at}`]);
+  const options = [
+    { label: 'errors', options: [['ate.rmse', 'ATE [m]']] },
+    { label: 'metrics', options: metrics },
+  ];
+  const chosen = [];
+  const choice = (value) =>
+    Choice({ label: 'Measured by', value, options, onChange: (one) => chosen.push(one) });
+  const offered = (value) => found(found(choice(value), 'select'), 'option').map((one) => one.props.value);
+  assert.deepEqual(offered('ate.rmse'), ['ate.rmse']);
+  assert.deepEqual(offered('metrics.m7'), ['metrics.m7', 'ate.rmse']);
+  assert.equal(found(found(choice('ate.rmse'), 'datalist'), 'option').length, 200);
+  found(choice('ate.rmse'), 'input')[0].props.onChange({ target: { value: 'metrics.m9' } });
+  assert.deepEqual(chosen, ['metrics.m9']);
+});
+
+test('runs are measured by what came of them, not by seed, repetition or setting', () => {
+  const column = (name, group, kind = 'number') => ({ name, group, kind });
+  const all = [
+    column('seed', 'run', 'integer'),
+    column('repetition', 'run', 'integer'),
+    column('parameters.n', 'parameters'),
+    column('finished', 'run', 'time'),
+    column('ate.rmse', 'errors'),
+    column('metrics.loops', 'metrics', 'integer'),
+    column('status', 'result', 'text'),
+  ];
+  assert.deepEqual(
+    all.filter(isMeasure).map((one) => one.name),
+    ['ate.rmse', 'metrics.loops'],
+  );
 });
 
 test('a link with a modifier key is left to the browser', () => {
@@ -233,6 +290,34 @@ test('a table of groups has the keys that differ, n, failures and the figures', 
   assert.equal(rows[0]['ate.rmse median'], data.groups[0].figures['ate.rmse'].median);
 });
 
+test('a phone tells algorithm, setting and ATE of groups before their counts and their only sensors', () => {
+  const titled = (names) => names.map((name) => ({ name }));
+  const columns = titled([
+    'algorithm',
+    'sensors',
+    'maxRange',
+    'n',
+    'runs',
+    'ate.rmse mean',
+    'ate.rmse median',
+  ]);
+  const row = (algorithm, sensors, maxRange) => ({ algorithm, sensors, maxRange });
+  const first = (rows) => onPhone({ columns, rows }).map((one) => one.name);
+  const rows = [row('kiss-icp', 'lidar', 30), row('kiss-icp', 'lidar', 100), row('rko-lio', 'inertial', 30)];
+  assert.deepEqual(first(rows).slice(0, 3), ['algorithm', 'maxRange', 'ate.rmse median']);
+  assert.equal(first(rows).length, columns.length);
+  assert.equal(first([...rows, row('kiss-icp', 'rgbd', 30)])[1], 'sensors');
+});
+
+test('groups on recordings with open findings are marked', () => {
+  const data = answer('/analysis/aggregate');
+  const has = () => groupTable(data).columns.some((one) => one.name === 'findings');
+  assert.ok(!has());
+  data.groups[0].findings = ['stamps.gap', 'truth.jump'];
+  assert.ok(has());
+  assert.equal(groupTable(data).rows[0].findings, 'stamps.gap, truth.jump');
+});
+
 test('poses without an error have none in their table', () => {
   const track = { t: [0, 1], x: [1, 2], y: [3, 4], z: [5, 6] };
   assert.deepEqual(trackTable([{ name: 'r', track }]).rows[1], {
@@ -252,6 +337,9 @@ test('load is drawn on the clock of the dataset where it is known, on its own ot
     { name: 'b', usage: off, t: off.stamp },
   ];
   const charts = loads(runs, { title: 'time since', span: [0, 9] });
+  assert.equal(charts[0].option.yAxis.name, 'CPU [cores]');
+  const read = loads([{ ...runs[0], usage: { ...on, readerShare: 0.4 } }], null);
+  assert.equal(read[0].option.yAxis.name, 'CPU with the reader [cores]');
   assert.deepEqual(
     charts.map((one) => one.ofDataset),
     [true, true, false, false],
@@ -273,4 +361,68 @@ test('the first look at charts is over the setting with most values', () => {
   const rate = column('input.frameRate', 'input', 5);
   assert.equal(mostVaried([column('ate.rmse', 'errors', 90), criterion, voxel, rate]), voxel);
   assert.equal(mostVaried([column('parameters.k', 'parameters', 1)]), undefined);
+});
+
+test('Explore opens with what was swept, by algorithm, not with what algorithms have by default', () => {
+  const items = [
+    column('algorithm', 'run', 'kiss-icp', 'genz-icp', 'rko-lio'),
+    { ...column('parameters.minRange', 'parameters', 0, 0.3, 1), kind: 'number' },
+    { ...column('parameters.maxRange', 'parameters', 30, 100), kind: 'number' },
+    { ...column('usage.cpu.meanCores', 'usage', 1, 2), kind: 'number' },
+  ];
+  const opened = (search, varied = ['parameters.maxRange']) => {
+    const { x, colour } = settingsOf(Query.parse(search), { items, varied });
+    return [x, colour];
+  };
+  assert.deepEqual(opened(''), ['parameters.maxRange', 'algorithm']);
+  assert.deepEqual(opened('x=parameters.minRange'), ['parameters.minRange', ''], 'as the address says');
+  assert.deepEqual(opened('kind=contour'), ['parameters.maxRange', '']);
+  assert.equal(opened('', [])[0], 'usage.cpu.meanCores', 'nothing was swept');
+});
+
+test('the bar of a sweep is as red as its runs failed, and as long as it is finished', () => {
+  const parts = (statuses, share) =>
+    found(Bar({ statuses, share, title: 'x' }), 'span').map(({ props }) => [props.class, props.style.width]);
+  assert.deepEqual(parts({ AlgorithmFailed: 3 }), [['bad', '100%']]);
+  assert.deepEqual(parts({ OutOfMemory: 1, Running: 4, Tracked: 3 }, 0.5), [
+    ['good', '37.5%'],
+    ['bad', '12.5%'],
+  ]);
+  assert.deepEqual(parts({}), []);
+  assert.match(found(Bar({ statuses: { Lost: 2 }, title: 'x' }), 'div')[0].props['aria-label'], /2 Lost/);
+});
+
+test('the picture of a sweep says in words too how errors spread, and who never tracked', () => {
+  const some = { algorithm: 'a'.repeat(63), low: 1, median: 2, high: 1e9, failed: 0 };
+  const none = { algorithm: 'b', low: null, median: null, high: null, failed: 7 };
+  const drawn = Spread({ sweep: { algorithms: ['a', 'b', 'c'], spread: [some, none] } });
+  const [, ratios, , , silent, failed] = found(drawn, 'span').map(
+    ({ props }) => props['aria-label'] ?? text(props.children),
+  );
+  assert.equal(ratios, 'ATE 1 to 1.00e9 times the smallest, median 2');
+  assert.deepEqual([silent, failed], ['no run tracked', '7 failed']);
+  assert.ok(found(drawn, 'i').every(({ props }) => Number.parseFloat(props.style.left) >= 0));
+  assert.match(text(drawn), /1 more algorithms are left out/);
+  assert.ok(!Spread({ sweep: { algorithms: [], spread: [] } }));
+});
+
+test('what all runs share stands once above their table, but how they ended and when', () => {
+  const columns = ['uid', 'run', 'finished', 'status', 'dataset', 'usage.gpu'].map((name) => ({
+    name,
+    title: name,
+  }));
+  const items = [{ uid: '1', run: 'a', status: 'Lost', dataset: 'hall', finished: 1, 'usage.gpu': null }];
+  const same = ['status', 'dataset', 'usage.gpu'];
+  const all = columns.map((one) => one.name);
+  const { columns: left, said } = folded({ columns, items, same }, all, ['run', 'finished', 'status']);
+  assert.deepEqual([left.map((one) => one.name), said], [['run', 'finished', 'status'], 'hall']);
+  assert.equal(folded({ columns, items, same: [] }, all, []).said, '');
+});
+
+test('what runs cost is told by cores where the clock set the pace alone', () => {
+  const pace = (value) => ({ name: 'input.pace', values: [{ value, count: 1 }] });
+  const seconds = { name: 'usage.cpu.secondsPerDataSecond' };
+  for (const other of ['Lockstep', 'Stepped']) assert.equal(cpuColumn([pace(other), seconds]), seconds.name);
+  assert.equal(cpuColumn([pace('Realtime'), seconds]), 'usage.cpu.meanCores');
+  assert.equal(cpuColumn([]), 'usage.cpu.meanCores');
 });

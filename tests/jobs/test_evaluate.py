@@ -262,7 +262,8 @@ def damaged(pod: Any, walked: str) -> list[tuple[dict[str, Any], str]]:
 
     case("sha256", sha256="0" * 64)
     case("line 2: found 2 of 8 values", "1 0 0 0 0 0 0 1\nof poses\n", sha256=None)
-    case("finite", "1 0 0 nan 0 0 0 1\n")
+    case("its only row holds NaN", "1 0 0 nan 0 0 0 1\n")
+    case("finite", "1 0 0 inf 0 0 0 1\n")
     case("no ground truth", dataset="elsewhere")
     case("folder", folder="../../../etc")
     case("folder", folder="/etc")

@@ -17,13 +17,16 @@ from typing import Any
 import pytest
 import yaml
 
+from slamhive.data.doctor.findings import Finding, Severity, sensor_repair
 from slamhive.data.files.once import in_use
+from slamhive.data.inspecting.known import FINDINGS, keep
 from slamhive.data.making.preparation import prepare
-from slamhive.data.recordings.entries import dataset_sha256
+from slamhive.data.recordings.entries import DatasetEntry, dataset_sha256
 from slamhive.data.store.datasets import materialise
 from slamhive.data.store.groundtruth import ground_truth
 from slamhive.kube.reports import read_description
 from slamhive.model.algorithm import DataFormat
+from slamhive.model.dataset import Dataset
 from slamhive.model.loading import load_file
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import Role
@@ -227,6 +230,29 @@ def test_a_damaged_recording_fails_by_a_sentence(pod: Any, filed: Any) -> None:
     reason, sentence = pod.run("prepare", request=filed).error
     assert reason == "PreparationFailed"
     assert "recording.bag" in sentence
+
+
+@pytest.mark.parametrize("severity", [Severity.ERROR, Severity.WARNING])
+def test_findings_of_its_recording_prevent_runs_or_are_told(pod: Any, filed: Any, severity: Severity) -> None:
+    data = pod.root / "data"
+    entry = DatasetEntry(Dataset.model_validate(filed["dataset"]), data / "datasets" / "hall")
+    repair = sensor_repair("lidar", pointTimes="us")
+    known = [
+        Finding("points.times.unit", severity, "sensors.lidar: times are in us", "lidar", repair=repair),
+        Finding("imu.units", Severity.ERROR, "sensors.imu: forces are in g", "imu"),
+        Finding("truth.jump", Severity.WARNING, "groundTruth: it jumps", "groundTruth"),
+    ]
+    keep(entry, known, data / "generated" / FINDINGS, is_sample=False)
+    ended = pod.run("prepare", request=filed)
+    line = 'in its spec: repair: {"sensors": {"lidar": {"pointTimes": "us"}}}'
+    said = f"sensors.lidar: times are in us (points.times.unit; {line})"
+    if severity is Severity.ERROR:
+        assert ended.error == ("PreparationFailed", f"dataset 'hall': runs with lidar aren't started: {said}")
+        return
+    found = read_description(ended.message)
+    assert found is not None
+    assert found.findings == ["points.times.unit", "truth.jump"]
+    assert found.suspicion == f"its recording may be why: {said}"
 
 
 def test_a_full_disk_is_a_fault_of_the_machine(pod: Any, filed: Any) -> None:

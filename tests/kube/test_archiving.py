@@ -289,3 +289,44 @@ async def test_runs_that_are_deleted_by_hand_are_told_and_those_done_again_count
         assert (status["deleted"], status["evaluated"]) == (2, 1)
         cluster.loop = Loop(cluster.seen, reconcilers(switched if kept else None))  # type: ignore[arg-type]
     assert [one.uid for one in switched.runs()] == (["another"] if kept else [])
+
+
+def annotate(cluster: Cluster, run: Any, **annotations: str) -> None:
+    """Do what ``kubectl annotate mappingrun`` does."""
+    meta = cluster.objects[run]["metadata"]
+    given = {f"slamhive.io/{name}": text for name, text in annotations.items()}
+    meta = meta | {"annotations": (meta.get("annotations") or {}) | given}
+    cluster.objects[run] = cluster._made(cluster.objects[run] | {"metadata": meta})
+    cluster.seen.observe(Kind.MAPPING_RUN, "MODIFIED", cluster.objects[run])
+
+
+@pytest.mark.parametrize("alone", [True, False])
+async def test_notes_and_tags_of_a_run_go_with_it_until_somebody_writes_others(
+    cluster: Cluster, switched: Switched, alone: bool
+) -> None:
+    """A Sweep's template gives them to its runs; afterwards ``kubectl annotate`` changes one run's."""
+
+    def noted() -> list[tuple[str | None, list[str]]]:
+        return [(one.note, one.tags) for one in switched.runs()]
+
+    words = {"slamhive.io/note": "tried the\nrobust kernel", "slamhive.io/tags": "robust, two words, v2"}
+    if alone:
+        key = cluster.apply(Kind.MAPPING_RUN, "alone", RUN | {"cancel": True}, annotations=words)
+    else:
+        template = {"spec": RUN, "metadata": {"annotations": words | {"slamhive.io/files": "mine"}}}
+        key = small(cluster, template=template, repetitions=1)
+    await go_on(cluster, key, 3)
+    (run,) = runs_of(cluster)
+    assert "slamhive.io/files" not in cluster.objects[run]["metadata"]["annotations"]
+    assert noted() == [("tried the robust kernel", ["robust", "v2"])]
+    annotate(cluster, run, tags="v3")
+    await go_on(cluster, key, 2)
+    assert noted() == [("tried the robust kernel", ["v3"])]
+    cluster.loop = Loop(cluster.seen, reconcilers(switched))  # type: ignore[arg-type]
+    annotate(cluster, run, note="while no operator looked")
+    await go_on(cluster, key, 2)
+    assert noted() == [("while no operator looked", ["v3"])]
+    switched.annotate(["uid-" + run.name], lambda had: had.changed("by the command", ["v4"], []))
+    annotate(cluster, run, note="too late")
+    await go_on(cluster, key, 2)
+    assert noted() == [("by the command", ["v3", "v4"])]

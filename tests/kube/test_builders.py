@@ -31,6 +31,7 @@ from slamhive.kube.builders import (
     variant_name,
 )
 from slamhive.kube.builders.common import passed_on
+from slamhive.kube.builders.player import player
 from slamhive.kube.builders.variant import variant_request
 from slamhive.kube.settings import PreparationJobs, Settings
 from slamhive.model.algorithm import TEXT_LIMIT, Algorithm
@@ -173,6 +174,30 @@ def preparing(preparation: dict[str, Any] | None = None, **spec: Any) -> dict[st
     )
 
 
+def playing() -> dict[str, Any]:
+    """The Job of a ROS 2 node, with its player."""
+    poses = {"topic": "/odometry", "type": "Odometry"}
+    node = {"recording": ["Rosbag2"], "paces": ["Stepped"], "ros2": {"poses": poses, "arguments": "Ros"}}
+    declared, data, body = algorithm(**node), dataset(), run()
+    resolved = spec_of(declared, data)
+    recorded = DESCRIPTION | {"format": "Rosbag2", "recording": "recording"}
+    told = configuration(body["metadata"]["name"], resolved, data, recorded)
+    images = settings().replace(ros2_player_image="example.org/player:2")
+    companion = player(
+        run=body, algorithm=declared, configuration=told, description=recorded, settings=images
+    )
+    return run_job(
+        run=body,
+        spec=resolved,
+        algorithm=declared,
+        configuration=told,
+        description=recorded,
+        attempt=1,
+        settings=images,
+        companion=companion,
+    )
+
+
 TEMPLATE = "voxel: {{ parameters['voxel.size'] }}\ntopic: {{ sensors.lidar.topic|quoted }} # $(HOME)\n"
 FILES = [{"path": "config/lio.yaml", "template": TEMPLATE}]
 
@@ -190,6 +215,7 @@ JOBS = {
         resources={"cpu": "1500m", "memory": "2Gi", "gpu": 1},
     ),
     "settings-files": lambda: built(declared=algorithm(files=FILES), resources={"cpu": 2, "memory": "2Gi"}),
+    "ros2-node": playing,
     "prepare": preparing,
     "prepare-by-mirror": lambda: preparing(MIRROR),
     "evaluate": lambda: evaluating(batch()),
@@ -450,6 +476,15 @@ def test_equal_wishes_share_a_variant() -> None:
     others += [named(dataset("yard")), named(dataset(recording={"files": [{"path": "hall/b.bag"}]}))]
     assert len({named(), *others}) == 7
     assert len(named()) == 22
+
+
+def test_a_perturbation_that_changes_something_has_a_variant_of_its_own() -> None:
+    nothing = {"seed": 3, "lidar": {"rangeNoise": 0}, "images": {"gamma": 1}}
+    assert named() == named(perturb=nothing) == named(perturb={})
+    noise: dict[str, Any] = {"lidar": {"rangeNoise": 0.1}}
+    others = [named(perturb=one) for one in (noise, noise | {"seed": 3}, {"timeOffset": {"lidar": 0.1}})]
+    assert len({named(), *others}) == 4
+    assert named(perturb=noise | {"seed": 1}) == others[0]
 
 
 def test_a_preparation_is_asked_for_what_matters() -> None:

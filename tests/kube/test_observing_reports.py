@@ -67,6 +67,12 @@ def test_a_log_is_known_by_its_end() -> None:
     assert tail("\n") is None
     assert last_line("one\ntwo\n\n") == "two"
     assert last_line(None) == ""
+    killed = (
+        "frame 7\nFatal Python error: Segmentation fault\n\nCurrent thread 0x1 (most recent call first):\n"
+    )
+    assert last_line(f'{killed}  File "slam.py", line 3 in track\n    return self._slam.track(') == (
+        "Fatal Python error: Segmentation fault"
+    )
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,7 @@ def _value(text: str) -> Any:
         ("1.", 1),
         ("+3", 3),
         ("-0.0", 0),
-        ("012", 10),
+        ("007", 7),
         ("0o12", 10),
         ("0x1F", 31),
         ("0b101", 5),
@@ -93,6 +93,7 @@ def test_values_are_those_that_kubectl_sends(text: str, expected: Any) -> None:
         ("a: \x1f", "f.yaml: not YAML"),
         ("a: \udce4", "f.yaml: not YAML"),  # Latin-1 on a terminal that says nothing of encodings
         ('a: "\\ud800"', "f.yaml:1: half a character"),
+        ("a: 0123", "f.yaml:1: 0123 is octal and means 83: write 123, 0o123 if 83 is meant, or quotes"),
         ("a: " + "9" * 5000, "f.yaml:1: an integer of 5000 characters"),
     ],
 )

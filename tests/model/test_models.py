@@ -65,11 +65,11 @@ FILES: dict[str, Any] = {"files": [{"path": "a.bag"}]}
             ALGORITHM | {"output": {"frame": "body", "stamp": "ScanEnd", "trajectory": KITTI}},
             "a frame index means the header stamp of its frame; expected Header in the mode lidar",
         ),
-        (AlgorithmSpec, NODE | {"output": {"frame": "body", "keyframes": KITTI}}, "a ROS 1 node's poses are"),
+        (AlgorithmSpec, NODE | {"output": {"frame": "body", "keyframes": KITTI}}, "a ROS node's poses are"),
         (
             AlgorithmSpec,
             NODE | {"modes": [{"name": "lidar", "output": {"trajectory": KITTI}}]},
-            "a ROS 1 node's poses are",
+            "a ROS node's poses are",
         ),
         (Asset, {"name": "a", "path": "a/../../b"}, "pattern"),
         (DataFile, {"path": "a", "url": "https://x"}, "needs its sha256"),

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from slamhive.contract.lines import telling_line
 from slamhive.monitor import (
     Accounting,
     CgroupV2Source,
@@ -30,6 +31,7 @@ from slamhive.monitor import (
 from slamhive.monitor.measuring import accounting, proc, processes
 from slamhive.monitor.measuring.hierarchy import Hierarchy, own_hierarchies, unified_parents
 from slamhive.monitor.outcome import ProgramEnding, judge
+from slamhive.monitor.playing import played_to_the_end
 from slamhive.monitor.programs import output
 from slamhive.monitor.programs.contained import explain
 from slamhive.monitor.programs.log import BoundedLog, clean_tail
@@ -189,6 +191,50 @@ def test_out_of_memory_of_the_machine() -> None:
     assert judge(ProgramEnding(status=9, machine_oom_kills=1)).reason == "OutOfMemory"
     assert judge(ProgramEnding(status=9)).reason == "AlgorithmFailed"
     assert judge(ProgramEnding(status=0, machine_oom_kills=1)).reason is None
+
+
+@pytest.mark.parametrize(
+    ("status", "last_line", "message"),
+    [
+        (9, "[ WARN] [1600.25]: gyroscope bias initial calibration", "ended by signal 9 (SIGKILL)"),
+        (6, "[INFO] [1600.25] [slam]: map saved", "ended by signal 6 (SIGABRT)"),
+        (6, "  what():  no map", "ended by signal 6 (SIGABRT):   what():  no map"),
+        (1 << 8, "[ WARN] [1600.25]: no settings", "exit code 1: [ WARN] [1600.25]: no settings"),
+        (6, "[ERROR] [1600.25]: no memory", "ended by signal 6 (SIGABRT): [ERROR] [1600.25]: no memory"),
+    ],
+)
+def test_reports_of_a_node_are_not_why_a_signal_ended_it(status: int, last_line: str, message: str) -> None:
+    assert judge(ProgramEnding(status=status, last_line=last_line)).message == message
+
+
+@pytest.mark.parametrize(
+    ("log", "line"),
+    [
+        ("std::bad_alloc\n[ INFO] [1600.1]: 12 features\n", "std::bad_alloc"),
+        ("[ INFO] [1600.1]: a\n[ WARN] [1600.2]: b\n", "[ WARN] [1600.2]: b"),
+        ("a\n[ WARN] no stamp, so not of ROS\n", "[ WARN] no stamp, so not of ROS"),
+        ("a\n[FATAL] [1600.2] [slam]: b\n", "[FATAL] [1600.2] [slam]: b"),
+    ],
+)
+def test_the_telling_line_is_no_report_where_there_is_another(log: str, line: str) -> None:
+    assert telling_line(log) == line
+
+
+def test_who_was_played_to_the_end_may_abort_when_told_to_go() -> None:
+    outcome = judge(ProgramEnding(status=6, last_line="Aborted", was_played=True))
+    assert outcome == (None, 6, None, "")
+    assert judge(ProgramEnding(status=9, group_oom_kills=1, was_played=True)).reason == "OutOfMemory"
+
+
+@pytest.mark.parametrize(
+    ("report", "ended"),
+    [({"state": "Ended"}, True), ({"state": "Playing"}, False), ([], False), (None, False)],
+)
+def test_playing_has_ended_when_the_player_says_so(tmp_path: Path, report: object, ended: bool) -> None:
+    if report is not None:
+        (tmp_path / "playback.json").write_text(json.dumps(report))
+    assert played_to_the_end(str(tmp_path)) is ended
+    assert played_to_the_end(None) is False
 
 
 NOBODY = 1 << 22  # the first number that no kernel gives to a process

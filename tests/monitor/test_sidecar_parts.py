@@ -96,6 +96,7 @@ def test_command_refuses(given: str | None, message: str) -> None:
         "\ufeff" + LONG,
         "1e0 1.0 +2 3E0 0 0 0 1 # first\n2 4 5 6 -0 0.0 0 2\n",
         LONG + "# late\n" + LINE.format(9999),
+        "0 1 nan 3 0 0 0 1\n" + LONG + "nan 1 2 3 0 0 0 1\n" + LINE.format(9999),
     ],
 )
 def test_sound_trajectories(tmp_path: Path, text: str) -> None:
@@ -110,6 +111,17 @@ def test_sound_trajectories(tmp_path: Path, text: str) -> None:
     assert found.info.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+@pytest.mark.parametrize("rows", [1, 3])
+def test_a_trajectory_of_nan_alone_has_no_pose(tmp_path: Path, rows: int) -> None:
+    path = tmp_path / "trajectory.txt"
+    path.write_text("# remark\n" + "3000 1 nan 3 0 0 0 1\n" * rows)
+    with pytest.raises(FileError) as expected:
+        read_tum(path)
+    problem = check_trajectory(str(tmp_path)).problem
+    assert problem == str(expected.value).replace(str(path), "output/trajectory.txt")
+    assert "NaN" in problem
+
+
 @pytest.mark.parametrize("before", ["", "# remark\n\n", LONG], ids=["first", "third", "late"])
 @pytest.mark.parametrize(
     "line",
@@ -119,7 +131,7 @@ def test_sound_trajectories(tmp_path: Path, text: str) -> None:
         "3000 1 2 three 0 0 0 1",
         "3000 1 2 3_0 0 0 0 1",
         "3000 1 2 " + "x" * 100 + " 0 0 0 1",
-        "3000 1 nan 3 0 0 0 1",
+        "3000 1 inf 3 0 0 0 1",
         "3000 1 2 -inf 0 0 0 1",
         "3000 1 2 3 0 0 0 inf",
         "1403636580000000000 1 2 3 0 0 0 1",

@@ -25,6 +25,11 @@ MANY = "matrix: [{path: seed, range: {from: 1, to: 400, step: 1}}, {path: retrie
         ("template: {spec: {algoritmRef: {name: a}}}", "spec.template.spec.algoritmRef: unknown field"),
         ("template: {spec: {algorithm: a}}", "did you mean 'algorithmRef'?"),
         ("template: {spec: {mode: stereo}}", "did you mean 'sensors'?"),
+        (
+            "template: {spec: {sensors: {mode: stereo}}}",
+            "sensors: takes one word, such as 'stereo', found {'mode'",
+        ),
+        ("template: {spec: {sensors: [left, right]}}", "sensors: takes one word: 'mono', "),
         ("template: {spec: {input: {framerate: 3}}}", "did you mean 'input.frameRate'?"),
         (
             "template: {spec: {input: {pace: Lockstepp}}}",

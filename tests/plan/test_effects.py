@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from slamhive.model.errors import InputError
 from slamhive.model.loading import parse, to_object
 from slamhive.model.results import Prepared
 from slamhive.model.sensors import SensorMode
@@ -166,6 +167,13 @@ def test_what_the_recording_has_or_may_have_is_as_asked(
     assert points.remarks() == []
 
 
+@pytest.mark.parametrize("pace", ["Realtime", "Stepped"])
+def test_what_is_played_has_a_speed_of_playback(study: Callable[..., Plan], pace: str) -> None:
+    points = study(mode="lidar", template={"datasetRef": {"name": "slow"}})
+    mode = points.algorithms["odometry"].spec.mode(SensorMode("lidar"))
+    assert option_problems({"pace": pace, "rate": 2}, points.datasets["slow"], mode) == []
+
+
 def test_rates_above_that_of_the_only_recording_are_refused_each_where_it_stands(
     study: Callable[..., Plan],
 ) -> None:
@@ -288,3 +296,66 @@ def test_of_a_run_that_was_never_prepared_only_what_is_asked_is_known(known: Fix
     left_out = recording_fields({}, {"rate": 2}, known.datasets["slow"], mode, None)
     assert (left_out["asked"], left_out["effective"]) == ({"rate": 2}, None)
     assert recording_fields({}, {}, known.datasets["slow"], mode, None)["asked"] is None
+
+
+PERTURBED = """
+- {path: input.perturb.lidar.rangeNoise, values: [0, 0.1]}
+- {path: input.perturb.timeOffset.lidar, values: [0, 0.02]}
+- {path: input.perturb.seed, values: [1, 2]}
+"""
+
+
+def test_perturbations_are_axes_whose_zero_is_a_plain_run(study: Callable[..., Plan]) -> None:
+    points = study(PERTURBED)
+    assert plan_problems(points) == []
+    plain = study().point(0)
+    assert [point.spec_hash for point in points] == [spec_hash(point.spec) for point in points]
+    hashes = [point.spec_hash for point in points]
+    assert hashes[0] == hashes[1] == plain.spec_hash
+    assert hashes[2] == hashes[3] != plain.spec_hash  # what isn't random has no seed
+    assert len(set(hashes)) == 6
+    assert points.point(0).spec["input"]["perturb"] == {
+        "lidar": {"rangeNoise": 0},
+        "timeOffset": {"lidar": 0},
+        "seed": 1,
+    }
+    assert points.twins == {1: 0, 3: 2}
+
+
+@pytest.mark.parametrize(
+    ("mode", "perturb", "sentence"),
+    [
+        (
+            "stereo",
+            {"lidar": {"rangeNoise": 0.1}},
+            "input.perturb.lidar.rangeNoise: 0.1 is asked, the mode stereo has no LiDAR",
+        ),
+        (
+            "lidar",
+            {"images": {"blur": 4}},
+            "input.perturb.images.blur: 4 is asked, the mode lidar has no camera",
+        ),
+        ("lidar", {"imu": {"rate": 50}}, "input.perturb.imu.rate: 50 is asked, the mode lidar has no IMU"),
+        (
+            "lidar",
+            {"timeOffset": {"imu": 0.1}},
+            "input.perturb.timeOffset.imu: 0.1 is asked, the mode lidar has no imu",
+        ),
+        (
+            "lidar",
+            {"seed": 3},
+            "input.perturb.seed: 3 is asked, and nothing that is perturbed is random",
+        ),
+    ],
+)
+def test_a_perturbation_of_what_is_not_there_is_refused(
+    known: FixedCatalog, mode: str, perturb: dict[str, Any], sentence: str
+) -> None:
+    algorithm, dataset = known.algorithms["odometry"].spec, known.datasets["fast"]
+    chosen = algorithm.mode(SensorMode(mode))
+    assert option_problems({"perturb": perturb}, dataset, chosen) == [sentence]
+
+
+def test_an_unknown_role_of_a_perturbation_is_named(study: Callable[..., Plan]) -> None:
+    with pytest.raises(InputError, match=r"unknown role 'lidr'; did you mean 'lidar'"):
+        study("[{path: input.perturb.timeOffset.lidr, values: [0.1]}]")

@@ -60,3 +60,37 @@ def test_an_object_read_back_from_a_server_gives_the_same(points: Plan) -> None:
     again = Plan(back, FixedCatalog(points.algorithms, points.datasets))
     assert again.uid == points.uid
     assert [point.spec_hash for point in again] == [point.spec_hash for point in points]
+
+
+@pytest.mark.parametrize(
+    "perturb",
+    [
+        {},
+        {"seed": 9},
+        {"lidar": {"rangeNoise": 0.0}},
+        {"seed": 9, "images": {"gamma": 1, "blur": 0}, "timeOffset": {"imu": 0}, "jitter": {}},
+    ],
+)
+def test_what_perturbs_nothing_has_the_hash_of_a_run_without(golden: Any, perturb: Any) -> None:
+    spec = golden["spec"] | {"input": golden["spec"]["input"] | {"perturb": perturb}}
+    assert spec_hash(spec) == golden["points"][0]["specHash"]
+
+
+def test_perturbations_have_hashes_of_their_own(golden: Any) -> None:
+    noise: Any = {"lidar": {"rangeNoise": 0.1}}
+    perturbations: list[Any] = [
+        noise,
+        noise | {"seed": 2},
+        {"lidar": {"rangeNoise": 0.2}},
+        {"timeOffset": {"imu": 0.1}},
+        {"timeOffset": {"lidar": 0.1}},
+        {"images": {"gamma": 0.5}},
+        {"imu": {"rate": 100}},
+    ]
+    specs = [golden["spec"] | {"input": golden["spec"]["input"] | {"perturb": one}} for one in perturbations]
+    hashes = [spec_hash(spec) for spec in specs]
+    assert len({golden["points"][0]["specHash"], *hashes}) == len(perturbations) + 1
+    assert (
+        spec_hash(golden["spec"] | {"input": golden["spec"]["input"] | {"perturb": noise | {"seed": 1}}})
+        == hashes[0]
+    )

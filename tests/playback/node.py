@@ -63,7 +63,7 @@ def take(scan: PointCloud2) -> None:
     if act == "quits" and scans == 15:
         os._exit(0)
     if act == "slow":
-        time.sleep(0.25)
+        time.sleep(0.06)
     if act != "silent":
         publisher.publish(message_of(scan))
     if act == "Odometry" and scans % 10 == 1:
@@ -74,6 +74,8 @@ def take(scan: PointCloud2) -> None:
         optimised.publish(keyframes)
 
 
+if act == "broken":
+    sys.exit("can't open the vocabulary")
 rospy.init_node("actor", disable_signals=act == "stubborn")
 publisher = rospy.Publisher(
     "/tf" if act == "TF" else "/actor/poses", kinds.get(act, Odometry), queue_size=100
@@ -89,5 +91,7 @@ while not rospy.is_shutdown():
     time.sleep(0.02)
 if act == "final":
     (run / "output" / "trajectory.txt").write_text("1600000000.0 9 9 9 0 0 0 1\n1600000001.0 9 9 9 0 0 0 1\n")
+if act == "careless":
+    raise rospy.ROSInterruptException("nobody caught it")
 if act == "fault":
     os.kill(os.getpid(), signal.SIGSEGV)

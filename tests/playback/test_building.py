@@ -10,10 +10,12 @@ import pytest
 from pydantic import ValidationError
 
 from slamhive.engine import AttemptEnd
+from slamhive.local.home.catalog import load_workshop
 from slamhive.local.programs.interpreters import interpreter
 from slamhive.local.programs.unavailable import Unavailable
-from slamhive.model.algorithm import AlgorithmSpec, LocalProgram
+from slamhive.model.algorithm import AlgorithmSpec
 from slamhive.model.configuration import RunConfiguration
+from slamhive.model.errors import InputError
 from slamhive.model.results import Reason
 from slamhive.monitor.playing import played_mean_cores
 from slamhive.playback.building import play_request
@@ -241,4 +243,56 @@ def test_mean_cores_are_those_while_it_was_played(tmp_path: Path, report: Any, c
 def test_where_ros_is_missing_the_sentence_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("slamhive.local.programs.interpreters.find_ros", lambda: None)
     with pytest.raises(Unavailable, match=r"ROS 1 for Python 3\.11 .*apt-get install python3-rospy"):
-        interpreter(LocalProgram(), ros=True)
+        interpreter(load_workshop().algorithm("kiss-icp-ros"))
+
+
+@pytest.mark.parametrize(
+    ("topic", "fits"),
+    [("/points", True), ("points", True), ("/lidar_0/a1", True), ("/lidar-0", False), ("/0", False)],
+)
+def test_a_topic_that_ros_2_does_not_have_is_named(topic: str, fits: bool) -> None:
+    told = configuration(topic=topic)
+    fields = spec().model_dump(mode="json", by_alias=True, exclude_unset=True)
+    del fields["ros1"]
+    fields |= {"recording": ["Rosbag2"], "ros2": {"poses": POSES}}
+    node = AlgorithmSpec.model_validate(fields)
+    if fits:
+        asked = request(node, told)
+        assert asked is not None
+        assert (asked.ros, asked.topics) == (2, {topic: topic})
+        return
+    with pytest.raises(InputError, match=f"'{topic}' can't be played to a ROS 2 node: expected letters"):
+        request(node, told)
+
+
+def test_a_request_of_another_version_is_said_to_be_one() -> None:
+    """An image of the player that was built before may have the same tag."""
+    known = {"poses": {"topic": "/p", "type": "Path"}, "frames": {"topic": "/f", "period": 1}}
+    with pytest.raises(ValueError, match=r"whose image may be older than slamhive: .*'of_tomorrow'"):
+        PlayRequest.from_json(json.dumps(known | {"of_tomorrow": 1}))
+
+
+@pytest.mark.parametrize(
+    ("template", "nodes"),
+    [
+        ("slam:\n  ros__parameters:\n    voxel: {{ algorithm }}\n", ["slam"]),
+        (
+            "/**:\n  ros__parameters: # all\n    a: 1\nlab:\n  back:\n    ros__parameters:\n      b: 2\n",
+            ["/**", "lab/back"],
+        ),
+        ("{{ algorithm }}:\n  ros__parameters:\n    a: 1\n", []),
+        ("slam: {ros__parameters: {a: 1}}\n", []),
+    ],
+)
+def test_nodes_that_a_params_file_is_for(template: str, nodes: list[str]) -> None:
+    body = spec().model_dump(exclude={"ros1"}, exclude_none=True) | {
+        "recording": ["Mcap"],
+        "command": ["node"],
+        "files": [{"path": "node.yaml", "template": template}],
+        "ros2": {"poses": POSES, "arguments": "Ros", "parameters": "node.yaml"},
+    }
+    request = play_request(
+        AlgorithmSpec.model_validate(body), configuration(), run="/run", folder="/player", mark="A=b"
+    )
+    assert request is not None
+    assert request.parameters_of == nodes

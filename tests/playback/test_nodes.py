@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A real master, a real bag and real nodes: what becomes of each kind of node."""
+"""Real recordings played to real nodes of ROS 1 and of ROS 2: what becomes of each kind of node."""
 
 from __future__ import annotations
 
@@ -23,20 +23,24 @@ def output(record: RunRecord) -> Path:
 
 
 @pytest.mark.parametrize(
-    "act", ["Odometry", "PoseStamped", "PoseWithCovarianceStamped", "Path", "TF", "stubborn", "fault"]
+    "act",
+    ["Odometry", "PoseStamped", "PoseWithCovarianceStamped", "Path", "TF", "stubborn", "fault", "careless"],
 )
 def test_poses_are_recorded_whatever_carries_them_and_however_the_node_ends(
     play: Callable[..., RunRecord], act: str
 ) -> None:
     record = play(act)
-    assert (record.phase, record.message or "") == ("Succeeded", "")
+    assert (record.message or "", record.phase) == ("", "Succeeded")
+    told = json.loads((Path(record.folder or "") / "summary.json").read_text())
+    assert (told["reason"], told["message"]) == (None, "")
     rows = np.loadtxt(output(record) / "trajectory.txt")
     assert record.frames is not None
     assert len(rows) == record.frames.processed == record.frames.offered
     np.testing.assert_allclose(rows[:, 1], rows[:, 0] - 1.6e9, atol=1e-6)
     assert (rows[:, 2] == (7.0 if act == "TF" else 0.0)).all()
     latency = record.metrics["latencySeconds"]
-    assert 0 < latency["median"] <= latency["p95"] <= latency["max"]
+    assert 0 < latency["median"] <= latency["p95"] <= latency["p99"] <= latency["max"]
+    assert 0.9 < record.metrics["realTimeFactor"] < 2  # a busy machine is behind too
     table = np.loadtxt(output(record) / "latency.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(table[:, 0], rows[:, 0])
     np.testing.assert_allclose(table[:, 2] - table[:, 1], table[:, 3], atol=1e-5)
@@ -72,9 +76,17 @@ def test_a_slow_node_drops_frames(play: Callable[..., RunRecord]) -> None:
     assert record.frames is not None
     assert record.frames.offered == 30
     assert record.frames.processed is not None
-    assert 1 < record.frames.processed < 25
+    assert 1 < record.frames.processed < 28
     assert record.frames.dropped == 30 - record.frames.processed
-    assert record.metrics["latencySeconds"]["median"] > 0.24
+    assert record.metrics["latencySeconds"]["median"] > 0.059
+
+
+def test_a_slow_node_drops_nothing_where_time_waits_for_it(play: Callable[..., RunRecord]) -> None:
+    record = play("slow", "Stepped")
+    assert (record.message or "", record.phase) == ("", "Succeeded")
+    assert record.frames is not None
+    assert record.frames.offered == record.frames.processed == 30
+    assert record.metrics["playSeconds"] > 29 * 0.06
 
 
 def test_a_node_that_publishes_no_pose_is_lost(play: Callable[..., RunRecord]) -> None:
@@ -90,7 +102,7 @@ def test_what_was_heard_of_a_node_that_ends_before_its_recording_is_kept(
     play: Callable[..., RunRecord],
 ) -> None:
     record = play("quits")
-    assert (record.phase, record.message or "") == ("Succeeded", "")
+    assert (record.message or "", record.phase) == ("", "Succeeded")
     assert record.frames is not None
     assert record.frames.processed is not None
     assert 1 <= record.frames.processed <= 15
@@ -99,7 +111,13 @@ def test_what_was_heard_of_a_node_that_ends_before_its_recording_is_kept(
 
 @pytest.mark.parametrize(
     ("act", "message"),
-    [("deaf", "the node did not subscribe to /points in 5 s"), ("crash", "lost the map")],
+    [
+        ("deaf", "the node did not subscribe to /points in 5 s"),
+        ("crash", "lost the map"),
+        ("astray", "no poses on /actor/elsewhere"),
+        ("astray", "/actor/poses (nav_msgs/"),
+        ("broken", "can't open the vocabulary"),
+    ],
 )
 def test_a_node_that_fails(play: Callable[..., RunRecord], act: str, message: str) -> None:
     record = play(act)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Real algorithms as ROS 1 nodes, beside themselves in lockstep."""
+"""Real algorithms as ROS nodes, beside themselves in lockstep."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ def home(tmp_path: Path, environments: Path) -> Home:
     return Home.at(tmp_path)
 
 
-def run(home: Home, names: list[str], dataset: str, notes: object) -> list[RunRecord]:
+def run(home: Home, names: list[str], dataset: str, notes: object, **asked_for: str) -> list[RunRecord]:
     workshop = load_workshop(home)
     small = Dataset.model_validate(
         {"metadata": {"name": "stereo"}, "spec": {"recording": {"synthetic": STEREO}}}
     )
     workshop.add([small], home.path)
     # At half its speed, so that a busy machine keeps up with some of it.
-    asked = {"duration": "12s", "rate": 0.5}
+    asked = {"duration": "12s", "rate": 0.5, **asked_for}
     template = {"datasetRef": {"name": dataset}, "input": asked, "timeout": "10m"}
-    template["sensors"] = "stereo" if dataset == "stereo" else "lidar"
+    template["sensors"] = asked.pop("sensors", "lidar")
     axis = {"path": "algorithm", "values": names}
     body = {"metadata": {"name": "real"}, "spec": {"template": {"spec": template}, "matrix": [axis]}}
     sweep = Sweep.model_validate(body)
@@ -66,8 +66,8 @@ def trajectory(record: RunRecord, name: str = "trajectory.txt") -> np.ndarray:
     return np.loadtxt(Path(record.folder or "") / "run" / "output" / name)
 
 
-def test_kiss_icp(ros: None, home: Home, notes: object) -> None:
-    lockstep, played = run(home, ["kiss-icp", "kiss-icp-ros"], "synthetic-lidar", notes)
+def check_beside(lockstep: RunRecord, played: RunRecord) -> None:
+    """Look at a node's poses beside those of the same program in lockstep."""
     assert played.frames is not None
     assert played.frames.offered == 120
     first, second = trajectory(lockstep), trajectory(played)
@@ -78,8 +78,28 @@ def test_kiss_icp(ros: None, home: Home, notes: object) -> None:
         np.testing.assert_allclose(second, first, atol=1e-6)
 
 
+def test_kiss_icp(ros: None, home: Home, notes: object) -> None:
+    check_beside(*run(home, ["kiss-icp", "kiss-icp-ros"], "synthetic-lidar", notes))
+
+
+@pytest.mark.parametrize(("name", "sensors"), [("kiss-icp", "lidar"), ("rko-lio", "lidar-inertial")])
+def test_ros2(name: str, sensors: str, home: Home, notes: object) -> None:
+    check_beside(*run(home, [name, f"{name}-ros2"], "synthetic-lidar", notes, sensors=sensors))
+
+
+@pytest.mark.parametrize(("name", "sensors"), [("kiss-icp", "lidar"), ("rko-lio", "lidar-inertial")])
+def test_ros2_frame_by_frame_drops_nothing(name: str, sensors: str, home: Home, notes: object) -> None:
+    (lockstep,) = run(home, [name], "synthetic-lidar", notes, sensors=sensors)
+    (played,) = run(home, [f"{name}-ros2"], "synthetic-lidar", notes, sensors=sensors, pace="Stepped")
+    assert played.frames is not None
+    assert (played.frames.offered, played.frames.dropped) == (120, 0)
+    # A scan that comes at its start has its inertial samples behind the next one: two show that.
+    assert played.metrics["framesWaitedForInVain"] == (2 if name == "rko-lio" else 0)
+    check_beside(lockstep, played)
+
+
 def test_orb_slam(ros: None, home: Home, notes: object) -> None:
-    (played,) = run(home, ["orb-slam3-smallvoc-ros"], "stereo", notes)
+    (played,) = run(home, ["orb-slam3-smallvoc-ros"], "stereo", notes, sensors="stereo")
     assert played.frames is not None
     # A busy machine drops some, however slowly they come.
     assert played.frames.offered == FRAMES

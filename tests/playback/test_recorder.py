@@ -60,7 +60,7 @@ def test_numbers() -> None:
         "framesProcessed": 2,
         "framesDropped": 2,
         "posesBroken": 1,
-        "latencySeconds": {"mean": 0.02, "median": 0.02, "p95": 0.029, "max": 0.03},
+        "latencySeconds": {"mean": 0.02, "median": 0.02, "p95": 0.029, "p99": 0.0298, "max": 0.03},
     }
     assert made.table().splitlines()[1:] == [
         "0.500000000,1.000000000,1.010000000,0.010000",
@@ -71,6 +71,38 @@ def test_numbers() -> None:
         ["0.700000000", "0.000000000"],
     ]
     assert made.online().splitlines()[0].split()[1] == "0.000000000"
+
+
+@pytest.mark.parametrize(
+    ("arrivals", "poses", "rate", "by_clock", "stepped"),
+    [
+        ([0, 100, 200, 300], [20, 120, 220, 320], 1.0, 320 / 300, 1.0),  # in time
+        ([0, 100, 200, 300], [200, 400, 600, 800], 1.0, 800 / 300, 2.0),  # a queue that grows
+        ([0, 100, 200, 300], [150, None, 350, None], 1.0, 350 / 300, 1.0),  # drops what comes meanwhile
+        ([0, 50, 100, 150], [10, 60, 110, 160], 2.0, 160 / 150, 1.0),
+        ([0, 250, 500, 750], [150, 400, 650, 900], 1.0, 900 / 300, 450 / 300),  # time stood for 150 of 250 ms
+        (
+            [0, 150, 300, 450],
+            [200, 350, 500, None],
+            1.0,
+            500 / 300,
+            1.0,
+        ),  # answers with the next frame, in 50 ms
+        ([0, 2100, 4200], [None, 4300, None], 1.0, 4300 / 200, 4000 / 200),  # patience of 2 s was at its end
+        ([0, 100], [None, None], 1.0, None, None),
+        ([0], [20], 1.0, None, None),
+    ],
+)
+def test_the_real_time_factor_is_the_time_it_took_over_the_time_it_had(
+    arrivals: list[int], poses: list[int | None], rate: float, by_clock: float | None, stepped: float | None
+) -> None:
+    made = Recorder(FrameSource("/points", 0.1))
+    for index, (arrival, came) in enumerate(zip(arrivals, poses, strict=True)):
+        made.frame(index * 100 * MS, arrival * MS)
+        if came is not None:
+            made.poses([pose(index * 100)], came * MS)
+    found = [made.factor(rate, stepped=way) for way in (False, True)]
+    assert found == [wanted and pytest.approx(wanted, abs=1e-4) for wanted in (by_clock, stepped)]
 
 
 def test_stamps_that_are_moved_leave_frames_and_latencies_as_they_are() -> None:

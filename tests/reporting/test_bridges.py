@@ -69,7 +69,10 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (folder / "output" / "trajectory.txt").write_text("0 0 0 0 0 0 0 1\n", encoding="utf-8")
     monkeypatch.setenv("SLAMHIVE_HOME", str(home))
     keep(
-        home, record(0, folder=str(folder)), record(1), record(2, phase=Phase.FAILED, results=[], usage=None)
+        home,
+        record(0, folder=str(folder), note="a robust kernel", tags=["robust", "v2"]),
+        record(1),
+        record(2, phase=Phase.FAILED, results=[], usage=None),
     )
     return tmp_path
 
@@ -140,6 +143,10 @@ def test_mlflow_reads_what_is_written(place: Path, run_command: Any) -> None:
         "repetition": "0",
     }
     assert f"{place / 'home'}/runs/study/study-0/usage.csv" in first.data.tags["files"].splitlines()
+    assert (first.data.tags["mlflow.note.content"], first.data.tags["tags"]) == (
+        "a robust kernel",
+        "robust, v2",
+    )
     history = client.get_metric_history(first.info.run_id, "series/cpu_cores")
     assert [(one.step, one.value) for one in history] == [(0, 0.5), (100, 1.5), (200, 1.0)]
 
@@ -173,7 +180,8 @@ def test_wandb_reads_what_is_written(place: Path, run_command: Any) -> None:
     assert sorted(found) == ["study-0", "study-1", "study-2"]
     run = next(one.run for one in found["study-0"] if one.HasField("run"))
     assert (run.project, run.run_group) == ("study", "study")
-    assert {"dataset:hall", "repetition:0", "sweep:study", "uid:uid/0"} == set(run.tags)
+    assert {"dataset:hall", "repetition:0", "sweep:study", "uid:uid/0", "robust", "v2"} == set(run.tags)
+    assert run.notes == "a robust kernel"
     config = {item.key: json.loads(item.value_json) for item in run.config.update}
     assert config["settings"]["parameters.voxelSize"] == 0.5
     assert f"{place / 'home'}/runs/study/study-0/usage.csv" in config["files"]

@@ -6,18 +6,21 @@ from __future__ import annotations
 import csv
 import re
 import sys
+from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from slamhive.analysis import Outcomes, Selection, choose
+from slamhive.analysis.measures import Better
 from slamhive.figures.asking import FigureKind, Log, Wish
 from slamhive.figures.making import picture
 from slamhive.figures.paper import Paper
 from slamhive.figures.pictures import Box, Dots, Line, MissingMark, Panel, Picture, PictureAxis, Tiles
-from slamhive.figures.styles import Style
+from slamhive.figures.styles import SCALE, Face, Style, settings
 from slamhive.figures.widths import WIDTHS, parse_width
 from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError
@@ -29,11 +32,11 @@ from thinning import thinned
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     Slamhive = Callable[..., tuple[int, str, str]]
     Fill = Callable[..., Path]
 
+ROOT = Path(__file__).parents[2]
 KINDS = [kind.value for kind in FigureKind]
 
 
@@ -128,7 +131,7 @@ def test_lines_are_the_medians_of_the_runs_and_say_so(
     assert [mark.count for mark in marks(found, MissingMark)] == [1, 1, 2, 1]
     caption = ". ".join(found.notes)
     assert (
-        "each mark is the median of 3 to 7 runs, runs that failed behind all others; bars are the range"
+        "each mark is the median of 3 to 7 results, runs that failed behind all others; bars are the range"
         in caption
     )
     assert "n = 43 tracked runs of 48; left out: 1 Diverged, 4 Partial" in caption
@@ -146,16 +149,14 @@ def test_means_have_their_standard_deviation(study: Path) -> None:
     line = marks(found, Line)[0]
     assert line.y.tolist() == pytest.approx([0.0205, 0.0205])
     assert (line.high - line.y).tolist() == pytest.approx([np.std([0.02, 0.021], ddof=1)] * 2)
-    assert "mean of 2 runs, bars are the standard deviation (n − 1)" in found.notes[0]
+    assert "mean of 2 results, bars are the standard deviation (n − 1)" in found.notes[0]
 
 
 def test_two_diverged_runs_flatten_nothing(forty: Path) -> None:
     found = made(forty, FigureKind.SCATTER, x="coverage")
     assert found.y.limits is not None
     assert found.y.limits.high == pytest.approx(0.0139)
-    assert (
-        "ATE RMSE [m]: 44, 45 lie outside of the axis and are marked by arrowheads at its edge" in found.notes
-    )
+    assert "ATE RMSE [m]: 44, 45 lie outside of the axis and are told by arrows at its edge" in found.notes
     whole = made(forty, FigureKind.SCATTER, x="coverage", robust=False, log=Log.NONE)
     assert whole.y.limits is not None
     assert whole.y.limits.high == 45
@@ -168,9 +169,165 @@ def test_what_lies_outside_is_marked_at_the_edge(forty: Path) -> None:
     found = made(forty, FigureKind.SCATTER, x="coverage")
     axes = Drawing(found, WIDTHS["ieee-column"]).draw().axes[0]
     edge = [line for line in axes.lines if not line.get_clip_on()]
-    # Two of one place: one arrowhead upwards, and the mark of their series.
-    assert [(line.get_marker(), line.get_ydata()[0]) for line in edge] == [(10, 1.0), ("o", 1.0)]
+    # Two side by side: one arrow with both numbers, and no mark that looks like a run.
+    assert [(line.get_marker() == Style(0).mark, line.get_ydata()[0]) for line in edge] == [(False, 1.0)]
+    assert [text.get_text() for text in axes.texts] == ["44, 45"]
     assert axes.get_ylim()[1] < 0.02
+
+
+@pytest.fixture
+def tried(records: Any, fill: Fill) -> Path:
+    """Three runs of each voxel size: a size with errors of 88 cm beside some of 6, one astray, two lost."""
+    errors = {
+        0.5: (0.06, 0.061, 9.0),
+        1.0: (0.87, 0.88, 0.89),
+        1.5: (0.11, 0.12, 0.13),
+        2.0: (0.2, None, None),
+    }
+
+    def one(number: int, size: float, error: float | None) -> Any:
+        lost = {"outcome": Outcome.LOST} if error is None else {"ate": {"rmse": error}}
+        spec = {"datasetRef": {"name": "hall"}, "algorithmRef": {"name": "a"}, "repetition": number}
+        parameters = {"voxelSize": size}
+        return records.run(number, spec=spec, parameters=parameters, results=[records.result(**lost)])
+
+    each = [(size, error) for size, found in errors.items() for error in found]
+    return fill(one(number, size, error) for number, (size, error) in enumerate(each))
+
+
+def test_no_median_lies_outside_and_the_values_that_were_tried_have_ticks(tried: Path) -> None:
+    from slamhive.figures.drawing import Drawing
+
+    found = made(tried, FigureKind.LINES)
+    (line,) = marks(found, Line)
+    assert line.y[:3].tolist() == pytest.approx([0.061, 0.88, 0.12])
+    axes = Drawing(found, WIDTHS["ieee-column"]).draw().axes[0]
+    low, high = axes.get_ylim()
+    assert low <= 0.06
+    assert 0.89 <= high < 9.0
+    assert [text.get_text() for text in axes.get_xticklabels()] == ["0.5", "1", "1.5", "2"]
+    # The run astray is the end of a bar: an arrow has its number.
+    assert "9" in [text.get_text() for text in axes.texts]
+    assert "ATE RMSE [m]: 9 lies outside of the axis and is told by arrows at its edge" in found.notes
+
+
+@pytest.mark.parametrize("kind", [FigureKind.SCATTER, FigureKind.LINES, FigureKind.BOX, FigureKind.PARETO])
+def test_failures_stand_in_a_field_of_their_own_never_among_the_values(tried: Path, kind: FigureKind) -> None:
+    from slamhive.figures.drawing import Drawing
+
+    found = made(tried, kind, **({"by": "voxelSize"} if kind is FigureKind.PARETO else {}))
+    axes = Drawing(found, WIDTHS["ieee-column"]).draw().axes[0]
+    axes.figure.draw_without_rendering()
+    top = axes.get_window_extent().y1
+    failed = [text for text in axes.texts if text.get_text() in {"failed", "2"}]
+    crosses = [line for line in axes.lines if line.get_marker() == "x"]
+    assert failed
+    assert len(crosses) == {FigureKind.SCATTER: 2, FigureKind.PARETO: 1}.get(kind, 0)
+    places = [one.get_transform().transform((0, one.get_ydata()[0]))[1] for one in crosses]
+    assert min([text.get_window_extent().y0 for text in failed] + places) > top
+
+
+def test_numbers_from_a_billionth_to_a_billion_stand_on_an_axis_that_can_be_read(
+    records: Any, fill: Fill
+) -> None:
+    from slamhive.figures.drawing import Drawing
+
+    home = fill(
+        records.run(
+            number,
+            spec={"datasetRef": {"name": "hall"}, "algorithmRef": {"name": "a"}},
+            parameters={"voxelSize": 10.0 ** (number - 9)},
+            results=[records.result(ate={"rmse": 10.0 ** (9 - number)})],
+        )
+        for number in range(19)
+    )
+    axes = Drawing(made(home, FigureKind.LINES), WIDTHS["ieee-column"]).draw().axes[0]
+    axes.figure.draw_without_rendering()
+    low, high = axes.get_xlim()
+    shown = [text for text in axes.get_xticklabels() if low <= text.get_position()[0] <= high]
+    assert {"10⁻⁹", "10⁹"} <= {text.get_text() for text in shown}
+    ends = [text.get_window_extent() for text in shown if text.get_text()]
+    assert all(left.x1 < right.x0 for left, right in pairwise(ends))
+
+
+def test_long_names_in_a_legend_fit_and_stay_apart(records: Any, fill: Fill) -> None:
+    import matplotlib as mpl
+
+    from slamhive.figures.drawing import Drawing
+
+    names = [f"{'a-very-long-name-of-an-algorithm-' * 2}{end}"[-63:] for end in "1234"]
+    home = fill(
+        records.run(number, spec={"algorithmRef": {"name": f"{name}{middle}{'x' * 40}"[-63:]}})
+        for number, (name, middle) in enumerate((name, middle) for name in names for middle in "ab")
+    )
+    width = WIDTHS["ieee-column"]
+    style: Any = settings(width.points, Face.SANS)
+    with mpl.rc_context(style):
+        figure = Drawing(made(home, FigureKind.SCATTER, x="coverage"), width).draw()
+        figure.draw_without_rendering()
+    (legend,) = figure.legends
+    assert len({text.get_text() for text in legend.get_texts()}) == 8
+    assert legend.get_window_extent().width <= figure.bbox.width
+
+
+@pytest.fixture
+def walked(records: Any, fill: Fill, tmp_path: Path) -> Path:
+    """Two algorithms at two frame rates, three equal runs each, with their trajectories and usage."""
+
+    def one(number: int) -> Any:
+        folder = tmp_path / "runs" / "study" / f"run-{number:03d}"
+        output = folder / "run" / "output"
+        output.mkdir(parents=True)
+        poses = "".join(f"{time} {time} {number // 3} 0 0 0 0 1\n" for time in range(5))
+        (output / "trajectory.txt").write_text(poses)
+        (output / "usage.csv").write_text("seconds,cores,resident_bytes\n0,1,1\n1,1,1\n")
+        spec = {
+            "datasetRef": {"name": "hall"},
+            "algorithmRef": {"name": f"algorithm-{number // 6}"},
+            "input": {"pace": "Lockstep", "frameRate": 5 * (1 + number // 3 % 2)},
+            "repetition": number % 3,
+        }
+        values = {"trajectory": {"sha256": str(number // 3) * 64}}
+        results = [records.result(ate={"rmse": 0.1 + number // 3}, **values)]
+        own = {"voxelSize": 0.5 + number // 6}  # the default of each algorithm
+        return records.run(number, spec=spec, parameters=own, folder=str(folder), results=results)
+
+    return fill(one(number) for number in range(12))
+
+
+@pytest.mark.parametrize("kind", [FigureKind.TRAJECTORIES, FigureKind.USAGE])
+def test_a_figure_of_one_run_a_series_says_at_what_setting_and_takes_the_same_for_all(
+    walked: Path, kind: FigureKind
+) -> None:
+    from slamhive.figures.drawing import Drawing
+
+    found = made(walked, kind)
+    assert set(found.columns["input.frameRate"]) == {5}
+    assert "median error of each series and panel with frame rate 5 Hz, one of 2 settings" in found.notes[0]
+    legend = Drawing(found, WIDTHS["ieee-column"]).draw().legends[0]
+    assert legend.get_title().get_text() == "frame rate 5 Hz"
+    unequal = made(walked, kind, where="not (algorithm == 'algorithm-0' and input.frameRate == 5)")
+    assert unequal.series == ("algorithm-0", "algorithm-1")
+    one_each = made(
+        walked,
+        kind,
+        where="algorithm == 'algorithm-0' and input.frameRate == 5"
+        " or algorithm == 'algorithm-1' and input.frameRate == 10",
+    )
+    assert one_each.series == ("algorithm-0, frame rate 5 Hz", "algorithm-1, frame rate 10 Hz")
+    assert "hall, algorithm-1, frame rate 10 Hz" in one_each.notes[1]
+
+
+def test_each_line_differs_and_copies_are_left_out(walked: Path) -> None:
+    from slamhive.figures.drawing import Drawing
+
+    found = made(walked, FigureKind.TRAJECTORIES, each=True)
+    assert len(found.series) == len(marks(found, Line)) == 4
+    assert "8 more have the same trajectory as one of them" in found.notes
+    figure = Drawing(found, WIDTHS["ieee-column"]).draw()
+    assert [text.get_text() for text in figure.legends[0].get_texts()][-2:] == ["start", "end"]
+    rings = [line for line in figure.axes[0].lines if line.get_marker() == "o"]
+    assert [line.get_xdata()[0] for line in rings] == [0.0] * 4
 
 
 def test_panels_share_their_axes_and_name_them(published: Path) -> None:
@@ -203,6 +360,8 @@ def test_many_runs_are_a_box(forty: Path) -> None:
 
 
 def test_tiles_are_medians_and_failures_are_crosses(study: Path) -> None:
+    from slamhive.figures.drawing import Drawing
+
     found = made(
         study, FigureKind.HEAT, x="dataset", y="algorithm", where="dataset != 'dataset-2' or coverage is null"
     )
@@ -212,6 +371,42 @@ def test_tiles_are_medians_and_failures_are_crosses(study: Path) -> None:
     assert tiles.texts[1][2] == ""
     assert found.colour is not None
     assert found.colour.label == "ATE RMSE [m]"
+    figure = Drawing(found, WIDTHS["ieee-page"]).draw()
+    image = figure.axes[0].images[0]
+    low, high = (sum(image.cmap(end)[:3]) for end in (0.0, 1.0))
+    assert low > high  # large errors are dark, to be seen on white
+    more = replace(found, colour=replace(found.colour, better=Better.HIGHER))
+    image = Drawing(more, WIDTHS["ieee-page"]).draw().axes[0].images[0]
+    assert sum(image.cmap(1.0)[:3]) == low
+
+
+def test_a_number_has_the_same_colour_in_figures_on_pages_and_in_reports() -> None:
+    def colours(script: str) -> list[str]:
+        text = (ROOT / script).read_text(encoding="utf-8")
+        return [
+            "#" + "".join(f"{int(part):02x}" for part in found)
+            for found in re.findall(r"\[(\d+), (\d+), (\d+)\],", text)
+        ]
+
+    assert colours("operator/slamhive/dashboard/static/core/scale.js") == list(SCALE)
+    assert colours("evaluator/slamhive_eval/assets/report.js")[::2] == list(SCALE)
+
+
+@pytest.mark.parametrize(
+    ("file", "part"),
+    [
+        ("operator/slamhive/dashboard/static/core/chart.js", "COLOURS = "),
+        ("operator/slamhive/reporting/report.css", "@media print"),
+        ("evaluator/slamhive_eval/assets/report.css", "--line"),
+        ("evaluator/slamhive_eval/reports/figures.py", "COLOURS = "),
+    ],
+)
+def test_the_second_series_of_a_figure_has_its_colour_on_pages_and_in_reports_too(
+    file: str, part: str
+) -> None:
+    text = (ROOT / file).read_text(encoding="utf-8").partition(part)[2]
+    series = re.findall(r"(?:'|\"|--c\d: )(#[0-9a-f]{6})", text)[:6]
+    assert series == [Style(number).colour for number in range(6)]
 
 
 def test_an_ecdf_ends_where_runs_failed(study: Path) -> None:
@@ -413,7 +608,7 @@ def in_folder(slamhive: Slamhive, monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
         (["pareto", "--facet", "dataset"], "--facet: a front has a panel for each dataset"),
         (["repetitions", "--where", "repetition == 0"], "no configuration has more than one run that counts"),
         (["trajectories", "-x", "w"], "--x: 'w': a path is drawn along x, y or z"),
-        (["trajectories"], "no run has files here to draw: run-006: its folder is not here"),
+        (["trajectories"], "no run has files here to draw: run-000: its folder is not here"),
         (["usage", "-y", "disk"], "--y: 'disk': usage over time is cpu or memory"),
         (["box", "--each"], "--each: every run is drawn by trajectories, error-over-time and usage"),
         (["scatter", "--sweep", "x"], "--sweep: unknown sweep 'x'; known: later, study"),
@@ -494,6 +689,6 @@ def test_one_path_has_its_name_and_matplotlib_says_nothing(caplog: pytest.LogCap
         truth=True,
     ).settled()
     legend = Drawing(found, WIDTHS["ieee-column"]).draw().legends[0]
-    assert [text.get_text() for text in legend.get_texts()] == ["ground truth", "estimate"]
+    assert [text.get_text() for text in legend.get_texts()] == ["ground truth", "estimate", "start", "end"]
     assert rendered(found, Paper(WIDTHS["ieee-column"]), "pdf", {}).startswith(b"%PDF")
     assert not caplog.records

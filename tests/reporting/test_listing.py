@@ -26,10 +26,24 @@ def test_settings_that_vary_are_columns_and_what_is_the_same_is_said_once(
     heads = " ".join(table[:3]).split()
     assert "nFeatures" in heads
     assert not {"k", "parameters.nFeatures", "algorithm", "dataset"} & set(heads)
-    assert [line.split()[:2] for line in table if line.startswith("run-")] == [
-        ["run-000", "500"],
-        ["run-006", "506"],
+    rows = [line.split() for line in table if line.startswith("run-")]
+    assert sorted((row[0], row[3]) for row in rows) == [("run-000", "500"), ("run-006", "506")]
+
+
+def test_the_latest_run_stands_first_with_its_date(records: Any, fill: Fill, slamhive: Slamhive) -> None:
+    days = {"run-000": "2026-11-20", "run-006": "2026-11-27", "run-012": "2026-11-24"}
+    runs = [
+        records.run(number, finished=f"{day}T12:00:00Z")
+        for number, day in zip((0, 6, 12), days.values(), strict=True)
     ]
+    home = fill([*runs, records.run(18, finished=None)])  # of the last, when it ended isn't known
+    _, *table = slamhive(home, "results", "list")[1].splitlines()
+    assert next(line for line in table if line.startswith("run")).split()[:2] == ["run", "finished"]
+    lines = [line.split()[:2] for line in table if line.startswith("run-")]
+    assert lines[:3] == [[name, days[name]] for name in ("run-006", "run-012", "run-000")]
+    assert lines[3] == ["run-018", "–"]
+    csv = slamhive(home, "results", "list", "--format", "csv", "--sort", "run")[1].splitlines()
+    assert [line.partition(",")[0] for line in csv[1:]] == ["run-000", "run-006", "run-012", "run-018"]
 
 
 def test_a_run_that_failed_says_why_where_others_have_an_outcome(

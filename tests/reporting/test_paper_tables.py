@@ -18,6 +18,7 @@ from slamhive.model.results import Outcome
 from slamhive.reporting.latex import Rules, escaped, latex
 from slamhive.reporting.papermarkdown import markdown
 from slamhive.reporting.papertables import Best, Overall, Statistic, TableLayout, flat, make_table
+from slamhive.reporting.tablewords import caption
 from slamhive.tables.reading import archive_url, read_archive
 
 if TYPE_CHECKING:
@@ -59,6 +60,8 @@ def test_means_medians_and_spread(study: Path) -> None:
     assert found.columns == (("dataset-0",), ("dataset-1",), ("dataset-2",))
     # 2 cm, the other algorithm 4; 1 cm more each dataset, 1 mm more at the second repetition.
     assert values(found) == [pytest.approx([2.05, 3.05, 4.05]), pytest.approx([4.05, 5.05, 6.05])]
+    told = "Mean ± standard deviation (of settings, nFeatures, not of repetitions alone) over"
+    assert told in caption(table(study, spread=True), "")[0]
     spread = table(study, spread=True, statistic=Statistic.MEDIAN).places[0][0]
     assert spread is not None
     assert spread.figures[0].spread == pytest.approx((2.0, 2.1))
@@ -137,6 +140,30 @@ def test_heads_and_footnotes_say_what_their_values_are(records: Any, fill: Calla
     assert "Not tracked: sensors stereo, loop true, frame rate 15.0 Hz: 1 OutOfMemory." in text
     turned = latex(table(home, rows=("input.frameRate", "input.resolution"), columns=()))
     assert "Frame rate [Hz] & Resolution & ATE" in turned
+
+
+def test_the_paper_has_what_its_readers_need_and_the_author_the_rest(
+    records: Any, fill: Callable[..., Path], slamhive: Callable[..., Any]
+) -> None:
+    def run(number: int, digit: str) -> Any:
+        return records.run(
+            number, provenance={"algorithmHash": digit * 64}, created=f"2025-01-0{digit}T00:00:00Z"
+        )
+
+    home = fill([run(24, "1"), run(0, "2"), run(6, "2")])
+    told = "earlier versions left out"
+    code, out, err = slamhive(home, "paper-table", "--rows", "algorithm")
+    assert code == 0, err
+    comments = [line for line in out.splitlines() if line.startswith("%")]
+    paper = "\n".join(line for line in out.splitlines() if line not in comments)
+    assert told in err
+    assert any(told in line for line in comments)
+    assert told not in paper
+    assert "parameters." not in paper
+    assert "Over all tried values of nFeatures." in paper
+    assert "ATE: RMSE of position errors after SE(3) alignment." in paper
+    code, out, err = slamhive(home, "paper-table", "--rows", "algorithm", "--style", "markdown")
+    assert (told in out, told in err) == (False, True)
 
 
 def test_a_cell_in_which_all_failed_says_how(study: Path) -> None:

@@ -102,3 +102,30 @@ def test_what_is_not_tracked_is_marked(published: Path, slamhive: Callable[..., 
     assert r"0.027\textsuperscript{\textdagger}" in out
     assert r"\textbf{0.027}" not in out
     assert "sensors stereo, orb-slam2, mh-02-easy: 1 Lost" in out
+
+
+def test_the_papers_numbers_stand_beside_those_of_its_runs(
+    published: Path, slamhive: Callable[..., Any]
+) -> None:
+    """The runs are the paper's own: each number is beside its run's, and within 10 % of it."""
+    words = ("paper-table", "--preset", "III", "--published")
+    code, out, err = slamhive(published, *words, "--style", "csv")
+    assert code == 0, err
+    rows = list(csv.DictReader(io.StringIO(out)))
+    cells = json.loads((ICRA / "paper_tables.json").read_text())["table_III"]
+    printed = {
+        (one["sensors"], one["algorithm"], one["dataset"].lower().replace("_", "-")): one["ate_rmse_m"]
+        for one in cells
+    }
+    shown = {
+        (row["sensors"], row["algorithm"], row["dataset"]): float(row["published.ate.rmse [m]"])
+        for row in rows
+        if row["published.ate.rmse [m]"]
+    }
+    assert shown.items() <= printed.items()
+    assert len(shown) > 20
+    for style, head in (("markdown", "ATE published"), ("booktabs", r"{ATE published [m]}")):
+        code, out, err = slamhive(published, *words, "--style", style)
+        assert code == 0, err
+        assert head in out
+        assert "ATE published: ICRA 2023, Table III." in out

@@ -156,6 +156,18 @@ def test_pairs_and_fronts_are_those_of_the_analyses(study: Path) -> None:
     assert [line["front"] == "true" for line in found] == [spot.front for spot in spots]
 
 
+def test_costs_begin_at_0_and_have_ranges_and_no_field_tells_of_failures_that_were_none(
+    records: Any, fill: Callable[..., Path]
+) -> None:
+    home = fill([records.run(number) for number in range(24)])
+    text = report_html(rows(home), ReportContents(costs=("usage.memory.peakBytes",)), NOW)
+    part = text.partition('id="pareto-1"')[2].partition("</section>")[0]
+    lines = re.findall(r'<line x1="([\d.]+)" y1="([\d.]+)" x2="([\d.]+)" y2="([\d.]+)" class="range', part)
+    assert sum(y1 == y2 and float(x1) < float(x2) for x1, y1, x2, y2 in lines) == 6
+    assert re.search(r'y="[\d.]+" text-anchor="middle">0</text>', part)
+    assert 'class="failed"' not in text
+
+
 def test_what_failed_is_counted_and_shown(study: Path) -> None:
     found = page(rows(study))
     outcomes = {row["algorithm"]: row for row in found.files["outcomes.csv"]}
@@ -164,6 +176,30 @@ def test_what_failed_is_counted_and_shown(study: Path) -> None:
     assert (statuses.count("Tracked"), statuses.count("OutOfMemory")) == (24, 2)
     assert "2 OutOfMemory" in found.text
     assert "26 runs" in found.text
+
+
+def test_charts_share_axes_with_ticks_at_the_values_that_were_tried_and_a_field_for_failures(
+    study: Path,
+) -> None:
+    frame = rows(study)
+    question = parse_question("nFeatures:ate", frame, Outcomes.TRACKED)
+    text = report_html(frame, ReportContents(questions=(question,)), NOW)
+    charts = re.findall(r"<svg .*?</svg>", text.partition('id="analysis-1"')[2].partition("</section>")[0])
+    drawn = [chart for chart in charts if 'role="img"' in chart]
+    assert len(drawn) == 3
+    # The numbers beside the axes: the same in each chart, though errors differ by dataset.
+    ticks = [
+        re.findall(r">([\d.]+)</text>", re.sub(r'<text [^>]*class="small".*?</text>', "", one))
+        for one in drawn
+    ]
+    assert ticks[0] == ticks[1] == ticks[2]
+    assert ticks[0][:2] == ["500", "1000"]
+    # A field in each of them; of dataset-2 it counts the two that failed, above all that is drawn.
+    assert all('class="failed"' in one for one in drawn)
+    crosses = [float(y) for one in drawn for y in re.findall(r'd="M[\d.]+ ([\d.]+)l8 8m0 -8l-8 8"', one)]
+    marks = [float(y) for one in drawn for y in re.findall(r'd="M[\d.]+ ([\d.]+)a', one)]
+    assert len(crosses) == 2
+    assert max(crosses) + 8 < min(marks)
 
 
 def test_failed_runs_are_listed_once_an_evaluation(records: Any, fill: Callable[..., Path]) -> None:
@@ -278,7 +314,12 @@ def test_what_varies_is_drawn_unless_told(study: Path, slamhive: Callable[..., A
     code, out, err = slamhive(study, "report", "-o", file)
     assert (code, out) == (0, "")
     assert "26 runs" in err
-    assert "ATE [m] over nFeatures" in Page(file.read_text()).text
+    written = Page(file.read_text()).text
+    assert "ATE [m] over nFeatures" in written
+    # Who won stands before anything else, and what was varied beside the algorithm.
+    assert written.index("algorithm-0 with") < written.index("What was compared")
+    heads = file.read_text().partition('id="runs"')[2].partition("</thead>")[0]
+    assert heads.index(">algorithm<") < heads.index(">nFeatures<") < heads.index(">sensors<")
     code, out, _ = slamhive(study, "report", "--analysis", "none", "-o", "-", "--where", "repetition == 0")
     assert code == 0
     assert "analysis-1" not in out

@@ -94,6 +94,8 @@ def test_tables_and_reports_do(study: Path, slamhive: Callable[..., Any]) -> Non
     code, out, err = slamhive(study, "results", "table", "--rows", "k", "--format", "markdown")
     assert code == 0, err
     assert "| k [m] |" in out
+    meaning = "ATE: RMSE of position errors after SE(3) alignment"
+    assert meaning in err
     code, out, err = slamhive(
         study, "paper-table", "--rows", "k", "--columns", "dataset", "--style", "markdown"
     )
@@ -103,6 +105,7 @@ def test_tables_and_reports_do(study: Path, slamhive: Callable[..., Any]) -> Non
     file = study / "report.html"
     code, _, err = slamhive(study, "report", "--analysis", "k:ate.rmse", "-o", file)
     assert "k [m]" in file.read_text(), err
+    assert file.read_text().count(meaning) >= 3, "the report says it below its tables"
 
 
 def test_pages_do(study: Path) -> None:

@@ -6,7 +6,9 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -44,6 +46,19 @@ def overlapping(system: Any) -> list[tuple[set[int], set[int]]]:
     """Return the processors of each two attempts that ran at the same time."""
     pairs = combinations(spans(system), 2)
     return [(one[2], two[2]) for one, two in pairs if one[0] < two[1] and two[0] < one[1]]
+
+
+def test_the_documented_lines_start_a_run_s_program_by_hand(system: Any, tmp_path: Path) -> None:
+    assert system("run", system.sweep())[0] == 0
+    document = (Path(__file__).parents[2] / "docs" / "algorithms.md").read_text()
+    lines = document.partition("### By hand")[2].split("```")[1].removeprefix("text\n")
+    (run,) = (system.home.path / "runs" / "s").iterdir()
+    before = (run / "run" / "output" / "trajectory.txt").read_text()
+    done = subprocess.run(
+        ["bash", "-ec", lines], cwd=tmp_path, env=os.environ | {"RUN": str(run)}, check=False
+    )
+    assert done.returncode == 0
+    assert (tmp_path / "try" / "output" / "trajectory.txt").read_text() == before
 
 
 @pytest.mark.skipif(CORES < 2, reason="needs two cores")

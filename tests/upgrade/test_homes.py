@@ -94,7 +94,13 @@ def test_a_sweep_that_was_cut_off_goes_on(
     code, _, err = call(old, "run", "sweep.yaml", "--parallelism", "1")
     assert code == 1, err  # for the crashes
     after = rows(old)
-    assert {name: after[name] for name in before} == before
+    different = {
+        (key, one[key], after[name][key])
+        for name, one in before.items()
+        for key in one
+        if one[key] != (pytest.approx(after[name][key], abs=1e-12) if key == "ate.rmse" else after[name][key])
+    }
+    assert different <= {("evaluationVersion", 1, 2)}, "no more than measured anew as figures are today"
     expected = {
         (number, act): ("Succeeded", None) if act == "noted" else ("Failed", "AlgorithmFailed")
         for number in NUMBERS

@@ -10,10 +10,29 @@
   const data = JSON.parse(String(part('data').textContent));
   const SIZE = { width: 560, height: 360, left: 62, right: 14, top: 12, bottom: 44 };
   const DASHES = ['', '8 3', '2 3', '8 3 2 3'];
+  // Of errors along a path, dark is worse: cividis without its ends, as on all pages and in figures.
+  const SCALE = [
+    [214, 195, 93],
+    [192, 177, 103],
+    [170, 159, 113],
+    [148, 142, 117],
+    [125, 124, 120],
+    [104, 108, 115],
+    [83, 91, 109],
+    [60, 76, 110],
+    [36, 60, 110],
+  ];
   /**
    * @type {{kind: string, hidden: Set<Report.Estimate>, azimuth: number, elevation: number, at: number|null}}
    */
-  const state = { kind: 'position', hidden: new Set(), azimuth: -0.9, elevation: 0.55, at: null };
+  const state = {
+    kind: Object.keys(data.kinds)[0] ?? '',
+    hidden: new Set(),
+    azimuth: -0.9,
+    elevation: 0.55,
+    at: null,
+  };
+  const measured = state.kind !== '';
   const shown = () => data.estimates.filter((one) => one.time.length && !state.hidden.has(one));
   /** @param {Report.Estimate} one */
   const colour = (one) => `var(--c${data.estimates.indexOf(one) % 6})`;
@@ -176,6 +195,62 @@
   }
 
   /**
+   * Draw the path of an estimate: one alone by its error, one of several in its colour.
+   * @param {Report.Estimate} one
+   * @param {number[]} xs
+   * @param {number[]} ys
+   */
+  function way(one, xs, ys) {
+    const errors = one.errors[state.kind];
+    if (!errors || shown().length > 1) return curve(one, xs, ys, one.breaks);
+    const top = range([errors])[1] || 1;
+    const jumps = new Set(one.breaks);
+    const parts = SCALE.map(() => '');
+    for (let k = 1; k < xs.length; k += 1) {
+      const place = Math.round((Math.max(errors[k - 1], errors[k]) / top) * (SCALE.length - 1));
+      if (!jumps.has(k)) parts[place] += line([xs[k - 1], xs[k]], [ys[k - 1], ys[k]]);
+    }
+    const group = make('g', { class: 'curve painted' });
+    parts.forEach((d, place) => {
+      if (d) group.append(make('path', { d, stroke: `rgb(${SCALE[place].join(',')})` }));
+    });
+    return group;
+  }
+
+  /**
+   * What paths look like in the legend: as they are drawn.
+   * @type {Map<Report.Estimate, HTMLElement>}
+   */
+  const samples = new Map();
+
+  /**
+   * Return the colours of errors side by side.
+   * @param {number} width
+   * @param {number} [height]
+   */
+  const bar = (width, height = 3) =>
+    make(
+      'g',
+      {},
+      ...SCALE.map((colours, k) =>
+        make('rect', { x: k * width, y: 5 - height / 2, width, height, fill: `rgb(${colours.join(',')})` }),
+      ),
+    );
+
+  /** Say what the colours of a path mean, where they are errors. */
+  function drawScale() {
+    const place = part('scale');
+    const one = shown()[0];
+    place.hidden = !measured || shown().length !== 1;
+    for (const [each, sample] of samples) {
+      sample.replaceChildren(each === one && !place.hidden ? bar(26 / 9) : curve(each, [0, 26], [5, 5], []));
+    }
+    if (place.hidden) return;
+    const svg = make('svg', { viewBox: '0 0 90 10', 'aria-hidden': 'true' }, bar(10, 10));
+    place.replaceChildren('0', svg, `${figures(range([one.errors[state.kind]])[1], 3)}: ${errorName()}`);
+  }
+
+  /**
    * Return the point of an estimate that is nearest in time to where the pointer is.
    * @param {Report.Estimate} one
    * @param {number} time
@@ -255,8 +330,7 @@
         data.reference.breaks,
       );
       one.svg.append(make('path', { class: 'truth', d }));
-      for (const each of shown())
-        one.svg.append(curve(each, each.path[one.a].map(x), each.path[one.b].map(y), each.breaks));
+      for (const each of shown()) one.svg.append(way(each, each.path[one.a].map(x), each.path[one.b].map(y)));
     }
     drawSolid();
   }
@@ -326,11 +400,10 @@
     for (const one of shown()) {
       const found = points(one);
       solid.append(
-        curve(
+        way(
           one,
           found.map((p) => p[0]),
           found.map((p) => p[1]),
-          one.breaks,
         ),
       );
     }
@@ -497,6 +570,8 @@
 
   function draw() {
     drawPaths();
+    drawScale();
+    if (!measured) return;
     drawErrors();
     drawStatistics();
     drawMarks();
@@ -558,14 +633,9 @@
   );
   legend.append(truth);
   for (const one of data.estimates) {
-    const sample = make('path', { class: 'curve', d: 'M0 5H26', 'stroke-dasharray': dash(one) });
-    sample.style.stroke = colour(one);
-    const button = make(
-      'button',
-      { type: 'button', 'aria-pressed': 'true' },
-      make('svg', { viewBox: '0 0 26 10', 'aria-hidden': 'true' }, sample),
-      one.name,
-    );
+    const sample = make('svg', { viewBox: '0 0 26 10', 'aria-hidden': 'true' });
+    const button = make('button', { type: 'button', 'aria-pressed': 'true' }, sample, one.name);
+    samples.set(one, sample);
     if (!one.time.length) button.setAttribute('disabled', '');
     button.addEventListener('click', () => {
       if (!state.hidden.delete(one)) state.hidden.add(one);

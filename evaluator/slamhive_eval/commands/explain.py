@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive_eval.association import equal_stamps_notes
 from slamhive_eval.commands import measuring, output
 from slamhive_eval.errors import FileError
 from slamhive_eval.measures.explaining import Explained, explain, times
@@ -43,7 +44,9 @@ def run(asked: argparse.Namespace) -> int:
         found = explain(reference, estimate)
         if asked.write_extrinsic is not None:
             _write(Path(asked.write_extrinsic), found)
-        results.append({"estimate": name, **found.as_dict(), "notes": list(estimate.notes)})
+        notes = [*estimate.notes, *equal_stamps_notes(estimate)]
+        notes += [f"ground truth: {note}" for note in reference.notes]
+        results.append({"estimate": name, **found.as_dict(), "notes": notes})
     result = results[0] if len(results) == 1 else {"results": results}
     output.emit(asked, result, lambda _: "\n\n".join(map(_show, results)))
     return 0

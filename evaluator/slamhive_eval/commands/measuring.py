@@ -285,6 +285,7 @@ def measure(
             ) from None
         about = prepared.as_dict()
         about["notes"] += [
+            *(f"ground truth: {note}" for note in reference.notes),
             *_pairing(reference, estimate, prepared, how),
             *_hints(reference, estimate, prepared),
         ]
@@ -299,7 +300,7 @@ def measure(
 
 
 def _pairing(reference: Trajectory, estimate: Trajectory, prepared: Prepared, how: Preparation) -> list[str]:
-    """Return notes on poses without a partner, and on such that share one."""
+    """Return notes on poses without a partner of their own, and on equal stamps."""
     stamps = (
         prepared.clock.corrected(estimate.stamps) if prepared.clock else estimate.stamps + how.offset_seconds
     )
@@ -309,13 +310,10 @@ def _pairing(reference: Trajectory, estimate: Trajectory, prepared: Prepared, ho
     paired, notes = len(prepared.reference), []
     if paired < _NEARLY_ALL * there:
         notes.append(
-            f"{paired} of {there} poses have a partner within {limit:g} s: the figures are theirs alone; "
-            "--match interpolate compares all, --max-diff allows more"
+            f"{paired} of {there} poses have a partner of their own within {limit:g} s: the figures are "
+            "theirs alone; --match interpolate compares all, --max-diff allows more"
         )
-    different = 1 + int(np.count_nonzero(np.diff(prepared.reference.stamps)))
-    if different < _NEARLY_ALL * paired:
-        notes.append(f"{paired} poses were paired with {different} of the ground truth: several share one")
-    return notes
+    return notes + association.equal_stamps_notes(estimate)
 
 
 def _hints(reference: Trajectory, estimate: Trajectory, prepared: Prepared) -> list[str]:

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from decimal import Decimal, InvalidOperation
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -21,6 +22,7 @@ from slamhive_eval.formats.textfiles import (
     decode,
     has_decimal_comma,
     is_number,
+    known_rows,
     lines_of,
     parse_table,
     read_bytes,
@@ -51,7 +53,7 @@ def read_columns(path: str | Path, form: TableFormat, times: str | Path | None =
         times: For frames: the file with the stamp of frame k in its line k, in s.
 
     Returns:
-        The poses, or positions alone where no column is a rotation.
+        The poses, or positions alone where no column is a rotation. Rows that hold NaN are left out.
 
     Raises:
         FileError: It is missing, empty, no text, or wrong in the line named.
@@ -64,7 +66,13 @@ def read_columns(path: str | Path, form: TableFormat, times: str | Path | None =
         raise NoPosesError(path)
     stamps = _stamps(path, rows, form, times)
     numbers = _numbers(path, rows, form)
+    known = known_rows(path, stamps, *numbers.values())
+    if known.left_out:
+        rows = [rows[k] for k in known.rows]
+        numbers, stamps = {name: one[known.rows] for name, one in numbers.items()}, stamps[known.rows]
     made = _trajectory(path, rows, numbers, stamps, form)
+    if known.left_out:
+        made = replace(made, notes=known.notes, nan_rows=known.left_out)
     return made.select(_kept(made.stamps, form.min_interval)) if form.min_interval else made
 
 

@@ -19,6 +19,7 @@ from slamhive_eval.formats.textfiles import (
     has_decimal_comma,
     head,
     is_number,
+    known_rows,
     parse_table,
     read_bytes,
 )
@@ -66,7 +67,7 @@ def read_trajectory(
         by_index: For KITTI: take poses and stamps as far as both go where their numbers differ, with a note.
 
     Returns:
-        The trajectory, stamps in s.
+        The trajectory, stamps in s. Rows that hold NaN are left out, counted and noted.
 
     Raises:
         FileError: The file is missing, empty, no text, or wrong in the line named; for recordings as well
@@ -264,13 +265,22 @@ def _checked(
     path: str | Path, data: bytes, rows: tables.Rows, unsorted: Unsorted, skipped: int = 0
 ) -> Trajectory:
     stamps, positions, quaternions, oriented, covariances = rows
-    order = np.arange(len(stamps))
-    if unsorted == "sort" and (np.diff(stamps) < 0).any():
-        order = np.argsort(stamps, kind="stable")
-        stamps, positions, quaternions = stamps[order], positions[order], quaternions[order]
-        covariances = None if covariances is None else covariances[order]
+    known = known_rows(path, stamps, positions, quaternions)
+    order = known.rows
+    if unsorted == "sort" and (np.diff(stamps[order]) < 0).any():
+        order = order[np.argsort(stamps[order], kind="stable")]
+    stamps, positions, quaternions = stamps[order], positions[order], quaternions[order]
+    covariances = None if covariances is None else covariances[order]
     try:
-        return Trajectory(stamps, positions, quaternions, oriented=oriented, covariances=covariances)
+        return Trajectory(
+            stamps,
+            positions,
+            quaternions,
+            oriented=oriented,
+            covariances=covariances,
+            notes=known.notes,
+            nan_rows=known.left_out,
+        )
     except TrajectoryError as error:
         fault = find_fault(stamps, positions, quaternions)
         if fault is None:

@@ -13,7 +13,15 @@ import numpy as np
 
 from slamhive_eval import rotation
 from slamhive_eval.errors import FileError
-from slamhive_eval.formats.textfiles import data_lines, decode, fault_in_row, head, parse_table, read_bytes
+from slamhive_eval.formats.textfiles import (
+    data_lines,
+    decode,
+    fault_in_row,
+    head,
+    known_rows,
+    parse_table,
+    read_bytes,
+)
 from slamhive_eval.trajectory import LARGEST_METRES, LARGEST_STAMP_SECONDS, Fault, Trajectory, find_fault
 
 if TYPE_CHECKING:
@@ -52,17 +60,20 @@ def parse_poses(
     first = next(data_lines(head(data)), None)
     indexed = first is not None and len(first[1].replace(",", " ").split()) == COLUMNS + 1
     table = parse_table(path, data, COLUMNS + indexed, _MEANING_INDEXED if indexed else MEANING)
-    matrices = _matrices(path, data, table[:, -COLUMNS:])
+    known = known_rows(path, table[:, -COLUMNS:])
+    _check_rows(path, data, table[:, -COLUMNS:], known.rows)
     order = np.arange(len(table))
     frames = table[:, 0] if indexed else order.astype(np.float64)
     if indexed:
         order = _order(path, data, frames, sort=sort)
-        frames, matrices = frames[order], matrices[order]
-    stamps = frames
-    notes: tuple[str, ...] = ()
+    stamps, notes, matrices = frames[order], known.notes, table[order, -COLUMNS:].reshape(-1, 3, 4)
     if times is not None:
-        stamps, notes = _stamps(path, data, frames, order, times, indexed=indexed, by_index=by_index)
+        stamps, unequal = _stamps(path, data, stamps, order, times, indexed=indexed, by_index=by_index)
+        notes += unequal
         matrices = matrices[: len(stamps)]
+    if known.left_out:
+        kept = ~np.isnan(matrices).any(axis=(1, 2))
+        stamps, matrices, indexed = stamps[kept], matrices[kept], True  # its lines aren't its poses any more
     rotations = matrices[:, :, :3]
     return Trajectory(
         stamps,
@@ -71,6 +82,7 @@ def parse_poses(
         rotations=rotations,
         stamped_by="time" if times is not None else "frame" if indexed else "line",
         notes=notes,
+        nan_rows=known.left_out,
     )
 
 
@@ -142,12 +154,10 @@ def check_matrices(table: FloatArray) -> Fault | None:
     return None
 
 
-def _matrices(path: str | Path, data: bytes, table: FloatArray) -> FloatArray:
-    """The checked pose matrices, shape (n, 3, 4)."""
-    fault = check_matrices(table)
+def _check_rows(path: str | Path, data: bytes, table: FloatArray, rows: IndexArray) -> None:
+    fault = check_matrices(table[rows])
     if fault is not None:
-        raise fault_in_row(path, data, fault.row, fault.message)
-    return table.reshape(-1, 3, 4)
+        raise fault_in_row(path, data, int(rows[fault.row]), fault.message)
 
 
 def _order(path: str | Path, data: bytes, frames: FloatArray, *, sort: bool) -> IndexArray:

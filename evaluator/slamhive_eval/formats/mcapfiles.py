@@ -67,11 +67,13 @@ class McapFile(McapReader):
 
     Attributes:
         notices: What was noticed when it was opened.
+        foreign: Topics of channels that aren't ROS 2's, and what they are.
     """
 
     def __init__(self, path: Any) -> None:
         super().__init__(path)
         self.notices: list[Notice] = []
+        self.foreign: dict[str, str] = {}
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, tuple[int, str, str, bytes]] = {}
 
@@ -209,16 +211,18 @@ class McapFile(McapReader):
         Raises:
             NotDamagedError: None is.
         """
-        foreign: list[str] = []
         for key, (number, topic, encoding, about) in self._channels.items():
             schema = self._schemas.get(number)
             if encoding == "cdr" and schema is not None and schema.encoding in _SCHEMAS:
                 ext = ConnectionExtRosbag2(encoding, get_qos(about))
-                definition, count = get_msgdef(schema), found.channels[key]
+                # A recorder that doesn't find a definition leaves it empty; only Empty has no fields.
+                is_known = schema.data.strip() or schema.name.endswith("/Empty")
+                definition, count = get_msgdef(schema if is_known else None), found.channels[key]
                 self.connections.append(Connection(key, topic, schema.name, definition, "", count, ext, self))
             else:
                 of = f"{encoding or 'no encoding'}, {schema.encoding if schema else 'no schema'}"
-                foreign.append(f"{topic} ({of})")
+                self.foreign[topic] = of
+        foreign = [f"{topic} ({of})" for topic, of in self.foreign.items()]
         shown = ", ".join(foreign[:10]) + (" and others" if len(foreign) > 10 else "")
         if foreign and not self.connections:
             if all(encoding == "ros1" for _, _, encoding, _ in self._channels.values()):

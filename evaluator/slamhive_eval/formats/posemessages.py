@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slamhive_eval.errors import TrajectoryError
+from slamhive_eval.formats.textfiles import known_rows
 from slamhive_eval.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -81,9 +83,10 @@ WITH_COVARIANCE = ("geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/
 def read_poses(messages: Iterable[Any], kind: str, *, sort: bool = False) -> Trajectory:
     """The trajectory in the messages of a topic, by their header stamps.
 
-    Of paths the last one with poses counts. Fixes become east, north, up in m from the first one (WGS 84);
-    messages without a fix are left out. Points and fixes have no orientation. Covariances that are
-    all zero say nothing and are left out too.
+    Of paths the last one with poses counts, and of those before it the poses that are earlier than all of
+    its own, as where each message is a window or a single pose. Fixes become east, north, up in m from the
+    first one (WGS 84); messages without a fix are left out. Points and fixes have no orientation.
+    Covariances that are all zero say nothing and are left out too.
 
     Args:
         messages: Decoded messages.
@@ -101,7 +104,9 @@ def read_poses(messages: Iterable[Any], kind: str, *, sort: bool = False) -> Tra
     covariances: list[FloatArray] = []
     for message in messages:
         if kind == PATH:
-            rows = reader(message) or rows
+            path = reader(message)
+            if path:
+                rows[bisect_left(rows, path[0][:1]) :] = path
             continue
         rows += reader(message)
         if kind in WITH_COVARIANCE:
@@ -114,6 +119,9 @@ def read_poses(messages: Iterable[Any], kind: str, *, sort: bool = False) -> Tra
     if len(table) > 1 and not np.ptp(table[:, 0]):
         raise TrajectoryError(f"the {len(table)} poses carry no stamps: all are {table[0, 0]:g} s")
     known = np.array(covariances, dtype=np.float64).reshape(-1, 6, 6)
+    rows_of = known_rows(kind, table)
+    if rows_of.left_out:
+        table, known = table[rows_of.rows], known[rows_of.rows if len(known) else slice(0)]
     if sort:
         order = np.argsort(table[:, 0], kind="stable")
         table, known = table[order], known[order if len(known) else slice(0)]
@@ -124,6 +132,8 @@ def read_poses(messages: Iterable[Any], kind: str, *, sort: bool = False) -> Tra
         table[:, 4:],
         oriented=kind not in (FIX, POINT),
         covariances=known if known.any() else None,
+        notes=rows_of.notes,
+        nan_rows=rows_of.left_out,
     )
 
 

@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import MessageDefinitionFormat
+from rosbags.interfaces import MessageDefinitionFormat, Nodetype
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
@@ -63,18 +63,56 @@ class RosReader(AnyReader):
         return [notice for reader in self.readers for notice in getattr(reader, "notices", ())]
 
     @property
-    def pieces(self) -> list[PieceSpan]:
-        """Return the files with messages in the order as they are listed."""
+    def foreign(self) -> dict[str, str]:
+        """Return the topics of an MCAP file's channels that aren't ROS 2's, and what they are."""
+        found: dict[str, str] = {}
+        for one in self._files():
+            found |= getattr(getattr(one, "storage", one), "foreign", {})
+        return found
+
+    @property
+    def is_compressed(self) -> bool:
+        """Tell whether files or messages are, as metadata.yaml has it; chunks within a file don't count."""
+        told = [getattr(one, "metadata", None) for one in self.readers]
+        return any(getattr(one, "compression_mode", None) for one in told)
+
+    def _open(self) -> None:
+        """Open the files; types of theirs without a definition have the standard one, where there is one."""
+        super()._open()
+        known, standard = self.typestore.fielddefs, self.default_typestore
+        waiting = [one.msgtype for one in self.connections if one.msgtype not in known]
+        added: dict[str, Any] = {}
+        while waiting and standard is not None:
+            name = waiting.pop()
+            if name in standard.fielddefs and name not in known and name not in added:
+                added[name] = standard.fielddefs[name]
+                waiting += parts_of(added[name])
+        self.typestore.register(added)
+
+    def _files(self) -> list[Any]:
+        """Return the readers of single files, in the order as they are listed."""
         readers: list[Any] = []
         for one in self.readers:
             storage = getattr(one, "storage", None)
             readers += storage.storages if isinstance(storage, _Folder) else [one]
+        return readers
+
+    @property
+    def pieces(self) -> list[PieceSpan]:
+        """Return the files with messages in the order as they are listed."""
         found = []
-        for one in readers:
+        for one in self._files():
             times = getattr(one, "metadata", one)
             if times.message_count:
                 found.append(PieceSpan(Path(one.path).name, times.start_time, times.end_time))
         return found
+
+
+def parts_of(definition: Any) -> list[str]:
+    """Return the types that a message's fields have, as a type store defines it."""
+    fields = [kind for _, kind in definition[1]]
+    whole = [kind[1][0] if kind[0] in {Nodetype.ARRAY, Nodetype.SEQUENCE} else kind for kind in fields]
+    return [kind[1] for kind in whole if kind[0] == Nodetype.NAME]
 
 
 class _Database(Sqlite3Reader):

@@ -20,7 +20,7 @@ import numpy as np
 from slamhive_eval import rotation
 from slamhive_eval.errors import FileError
 from slamhive_eval.formats import covariances
-from slamhive_eval.formats.textfiles import lines_of
+from slamhive_eval.formats.textfiles import DECIMAL_COMMA, has_decimal_comma, lines_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -146,6 +146,9 @@ def read_table(path: str | Path, text: str, header: Header) -> Rows:
     fields = list(header.columns)
     index = [header.columns[name] for name in fields] + list(header.covariance.values())
     lines = list(itertools.islice(lines_of(text), header.line, None))
+    if header.delimiter == "," and lines and has_decimal_comma(lines[0], header.count):
+        # Columns by their number would be read all the same, each of another column's halves.
+        raise FileError(path, DECIMAL_COMMA, header.line + 1)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -281,6 +284,8 @@ def _line_by_line(path: str | Path, lines: list[str], header: Header, columns: d
                 row.append(float(word))
             except ValueError:
                 shown = word if len(word) <= 30 else word[:30] + "…"
-                raise FileError(path, f"{shown!r} in the column of {name} is no number", number) from None
+                hint = f"; {DECIMAL_COMMA}" if has_decimal_comma(word) else ""
+                told = f"{shown!r} in the column of {name} is no number{hint}"
+                raise FileError(path, told, number) from None
         rows.append(row)
     return np.array(rows, dtype=np.float64).reshape(-1, len(columns))

@@ -15,7 +15,7 @@ import re
 import warnings
 import zlib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -25,13 +25,14 @@ from slamhive_eval.formats.decimals import parse_rows
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from slamhive_eval.rotation import FloatArray
+    from slamhive_eval.rotation import FloatArray, IndexArray
 
 _BLOCK = 1 << 19
 """Bytes that are turned into numbers at once: what comes of them stays in the processor's cache."""
 _KEPT_BYTES = 16 << 20
 _HEAD = 1 << 14
 _COMMA_NUMBER = re.compile(r"(?:^|[;\s])[-+]?\d+,\d+(?:[eE][-+]?\d+)?(?=[;\s]|$)")
+_QUOTED = re.compile(r'"[^"]*"')
 DECIMAL_COMMA = "its numbers have a decimal comma; write them with a point, as 1.5"
 """Sentence on a line of `has_decimal_comma`."""
 _GZIP, _BZIP2 = b"\x1f\x8b", b"BZh"
@@ -163,6 +164,45 @@ def _block(block: bytes, *, commas: bool) -> FloatArray:
         return np.loadtxt(text, dtype=np.float64, ndmin=2)
 
 
+class KnownRows(NamedTuple):
+    """Rows of a table that hold poses: those with NaN are left out and counted.
+
+    Attributes:
+        rows: Their indices, ascending, shape (m,).
+        left_out: How many others there are.
+        notes: A sentence on those, if any.
+    """
+
+    rows: IndexArray
+    left_out: int = 0
+    notes: tuple[str, ...] = ()
+
+
+def known_rows(path: str | Path, *columns: FloatArray) -> KnownRows:
+    """Return the rows of a table, given by arrays of shape (n,) or (n, k), that hold no NaN.
+
+    Raises:
+        FileError: All hold one.
+    """
+    count = len(columns[0])
+    with np.errstate(all="ignore"):
+        # A sum is NaN where one of the numbers is; looking at each takes ten times as long.
+        suspect = [one.reshape(count, -1) for one in columns if np.isnan(one.sum())]
+    unknown = np.zeros(count, dtype=bool)
+    for one in suspect:
+        unknown |= np.isnan(one).any(axis=1)
+    index = np.flatnonzero(~unknown)
+    left_out = count - len(index)
+    if not left_out:
+        return KnownRows(index)
+    if not len(index):
+        raise FileError(
+            path, f"{'its only row holds' if count == 1 else f'all {count} rows hold'} NaN: no pose"
+        )
+    hold, were = ("holds", "was") if left_out == 1 else ("hold", "were")
+    return KnownRows(index, left_out, (f"{left_out} of {count} rows {hold} NaN and {were} left out",))
+
+
 def fault_in_row(path: str | Path, data: bytes, row: int, message: str, skipped: int = 0) -> FileError:
     """The error for data row ``row`` (from 0) below some lines, naming the line of the text it stands on."""
     lines = (number for number, _ in data_lines(decode(data)) if number > skipped)
@@ -178,15 +218,24 @@ def is_number(word: str) -> bool:
     return "_" not in word
 
 
-def has_decimal_comma(line: str) -> bool:
-    """Tell whether numbers of a line have a comma for the point: values are split by something else then."""
-    return _COMMA_NUMBER.search(line) is not None
+def has_decimal_comma(line: str, columns: int | None = None) -> bool:
+    """Tell whether numbers of a line have a comma for the point.
+
+    Args:
+        line: The line.
+        columns: The values it should hold, where commas may stand between them too: then numbers have none
+            for the point, and there are too many of them, at most twice as many.
+    """
+    if _COMMA_NUMBER.search(line) is not None:
+        return True
+    plain = _QUOTED.sub("", line)
+    return columns is not None and "." not in plain and columns < len(plain.split(",")) <= 2 * columns
 
 
 def _raise_bad_line(path: str | Path, text: str, columns: int, meaning: str, *, extra: bool) -> None:
     for number, content in data_lines(text):
         words = content.replace(",", " ").split()
-        if len(words) != columns and has_decimal_comma(content):
+        if len(words) != columns and has_decimal_comma(content, columns):
             raise FileError(path, f"{DECIMAL_COMMA}; expected {meaning}", number)
         if len(words) < columns or (len(words) > columns and not extra):
             raise FileError(path, f"found {len(words)} of {columns} values; expected {meaning}", number)

@@ -213,6 +213,8 @@ class _Pair:
 
     def __init__(self, reference: Trajectory, estimate: Trajectory) -> None:
         self._reference = reference.orthonormal()
+        # Of poses with one stamp the first: all would be laid onto one place of the ground truth.
+        estimate = estimate.select(np.unique(estimate.stamps, return_index=True)[1])
         step = max(1, len(estimate) // _MOST_POSES)
         self._whole = estimate.orthonormal()
         self._estimate = self._whole.select(slice(None, None, step))

@@ -38,6 +38,7 @@ _JOINED_SECONDS = 0.5
 _MOST_GAP_SECONDS = 0.5
 _ROUNDS = 20
 _LEAST_INSTANTS = 10
+_MOST_DRAWN = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +86,10 @@ class Suspicion:
         stretches: The stretches, in the order of time.
         rmse: RMSE of each system's mean path over all instants, aligned to those outside, m.
         rmse_without: The same over the instants outside of the stretches, m.
+        limit: Distance from the truth below which no instant is suspect, m: a multiple of the typical error
+            of the systems, and no less than a centimetre.
+        profile: At some 400 of the instants at most, those of the largest distance: stamp in s, distance of
+            the systems' mean from the truth and standard error of that mean, m.
     """
 
     systems: tuple[str, ...]
@@ -93,11 +98,14 @@ class Suspicion:
     stretches: tuple[SuspectStretch, ...]
     rmse: Mapping[str, float]
     rmse_without: Mapping[str, float]
+    limit: float
+    profile: tuple[tuple[float, float, float], ...]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON data; None for the RMSE of a system without any pose there."""
         told = asdict(self)
-        for name in ("rmse", "rmse_without"):
+        told["rmseWithout"] = told.pop("rmse_without")
+        for name in ("rmse", "rmseWithout"):
             told[name] = {one: None if np.isnan(value) else value for one, value in told[name].items()}
         return told
 
@@ -172,8 +180,12 @@ def _judged(names: list[str], stamps: FloatArray, errors: FloatArray) -> Suspici
     spread = np.sqrt(np.nansum((errors - together) ** 2, axis=(0, 2)) / (count - 1))
     squares = np.sum(errors**2, axis=2)
     typical = float(np.sqrt(np.nanmedian(squares)))
-    ratio = away / np.maximum(spread / np.sqrt(count), 1e-9)
-    odd = (ratio > LEAST_RATIO) & (away > max(LEAST_SHARE * typical, LEAST_METRES))
+    unsure = np.maximum(spread / np.sqrt(count), 1e-9)
+    ratio, limit = away / unsure, max(LEAST_SHARE * typical, LEAST_METRES)
+    odd = (ratio > LEAST_RATIO) & (away > limit)
+    # The worst of each few, so that no short stretch is lost in the picture.
+    pieces = np.array_split(np.arange(len(stamps)), min(len(stamps), _MOST_DRAWN))
+    drawn = [piece[np.argmax(away[piece])] for piece in pieces]
     stretches = []
     for first, last in _spans(stamps, odd):
         worst = first + int(np.argmax(away[first : last + 1]))
@@ -195,6 +207,8 @@ def _judged(names: list[str], stamps: FloatArray, errors: FloatArray) -> Suspici
         stretches=tuple(stretches),
         rmse=_roots(names, squares),
         rmse_without=_roots(names, squares[:, ~odd]),
+        limit=limit,
+        profile=tuple(zip(stamps[drawn].tolist(), away[drawn].tolist(), unsure[drawn].tolist(), strict=True)),
     )
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from slamhive_eval.trajectory import Trajectory
 
 FORMATS = (".png", ".svg", ".pdf")
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9")
 """Okabe and Ito 2008: distinct for colour-blind eyes."""
 LINES = ("-", "--", ":", "-.")
 

@@ -57,9 +57,7 @@ def report_html(
     style, script, page = (
         (assets / f"report.{kind}").read_text(encoding="utf-8") for kind in ("css", "js", "html")
     )
-    # No "<" may stand in the data: a name could end the script element.
-    text = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    parts = {"TITLE": html.escape(title), "STYLE": style, "SCRIPT": script, "DATA": text}
+    parts = {"TITLE": html.escape(title), "STYLE": style, "SCRIPT": script, "DATA": as_script_data(data)}
     return re.sub("@([A-Z]+)@", lambda mark: parts[mark[1]], page)
 
 
@@ -86,21 +84,16 @@ def report_data(
     """
     if not evaluations:
         raise OptionError("a report needs at least one estimate")
-    shown = np.unique(np.linspace(0, len(reference) - 1, min(len(reference), MAX_POINTS)).astype(np.intp))
     start = float(reference.stamps[0])
     compared = [found.poses for found in evaluations.values() if found.poses is not None]
     oriented = all(poses.reference.oriented and poses.estimate.oriented for poses in compared)
     kinds = {kind: about for kind, about in KINDS.items() if oriented or kind == "position"}
-    edges = {kind: _edges([_errors(poses, kind) for poses in compared]) for kind in kinds}
+    edges = {kind: bin_edges([_errors(poses, kind) for poses in compared]) for kind in kinds}
     return {
         "title": title,
         "kinds": {kind: {"name": name, "unit": unit} for kind, (name, unit) in kinds.items()},
         "edges": {kind: _rounded(values) for kind, values in edges.items()},
-        "reference": {
-            "name": reference_name,
-            "path": _path(reference, shown),
-            "breaks": _breaks(reference.stamps, shown, REFERENCE_GAP_SECONDS),
-        },
+        "reference": truth_data(reference, reference_name),
         "estimates": [_estimate(name, found, edges, start) for name, found in evaluations.items()],
     }
 
@@ -117,29 +110,73 @@ def _estimate(name: str, found: Evaluation, edges: dict[str, FloatArray], start:
     poses = found.poses
     if poses is None:
         return {**entry, "time": []}
-    shown = _shown(poses.errors)
-    limit = KEYFRAME_STEP_SECONDS if found.coverage.keyframes else FRAME_STEP_SECONDS
+    return entry | curves(
+        poses.estimate,
+        poses.reference.stamps - start,
+        poses.reference.distances,
+        {kind: _errors(poses, kind) for kind in edges},
+        edges,
+        keyframes=found.coverage.keyframes,
+    )
+
+
+def curves(
+    estimate: Trajectory,
+    times: FloatArray,
+    distances: FloatArray,
+    errors: Mapping[str, FloatArray],
+    edges: Mapping[str, FloatArray],
+    *,
+    keyframes: bool = False,
+) -> dict[str, Any]:
+    """Return the curves, histogram and box of an estimate's poses, as the page draws them.
+
+    Args:
+        estimate: Its n poses.
+        times: Seconds since the ground truth began, (n,).
+        distances: Path of the ground truth until then in m, (n,).
+        errors: By kind, (n,) each; the first says which poses stand for a stretch. None for a path alone.
+        edges: Of the bins of each kind's histogram.
+        keyframes: Whether the estimate holds keyframes only.
+    """
+    first = next(iter(errors.values()), np.zeros(len(estimate)))
+    shown = _shown(first)
+    limit = KEYFRAME_STEP_SECONDS if keyframes else FRAME_STEP_SECONDS
     return {
-        **entry,
-        "path": _path(poses.estimate, shown),
-        "breaks": _breaks(poses.estimate.stamps, shown, limit),
-        "thinned": len(shown) < len(poses.errors),
-        "time": _rounded(poses.reference.stamps[shown] - start),
-        "distance": _rounded(poses.reference.distances[shown]),
-        "errors": {kind: _rounded(_errors(poses, kind)[shown]) for kind in edges},
+        "path": _path(estimate, shown),
+        "breaks": _breaks(estimate.stamps, shown, limit),
+        "thinned": len(shown) < len(first),
+        "time": _rounded(times[shown]),
+        "distance": _rounded(distances[shown]),
+        "errors": {kind: _rounded(found[shown]) for kind, found in errors.items()},
         "histogram": {
-            kind: np.histogram(np.minimum(_errors(poses, kind), edges[kind][-1]), edges[kind])[0].tolist()
-            for kind in edges
+            kind: np.histogram(np.minimum(found, edges[kind][-1]), edges[kind])[0].tolist()
+            for kind, found in errors.items()
         },
-        "box": {kind: _box(_errors(poses, kind)) for kind in edges},
+        "box": {kind: _box(found) for kind, found in errors.items()},
     }
+
+
+def truth_data(reference: Trajectory, name: str) -> dict[str, Any]:
+    """Return the path of the ground truth, as the page draws it."""
+    shown = np.unique(np.linspace(0, len(reference) - 1, min(len(reference), MAX_POINTS)).astype(np.intp))
+    return {
+        "name": name,
+        "path": _path(reference, shown),
+        "breaks": _breaks(reference.stamps, shown, REFERENCE_GAP_SECONDS),
+    }
+
+
+def as_script_data(data: Mapping[str, Any]) -> str:
+    """Return data as JSON for a script element, which no name in it can end."""
+    return json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def _errors(poses: Poses, kind: str) -> FloatArray:
     return poses.errors if kind == "position" else poses.rotation_errors_deg
 
 
-def _edges(errors: list[FloatArray]) -> FloatArray:
+def bin_edges(errors: list[FloatArray]) -> FloatArray:
     """Common bins from zero to the largest error; the last one holds what one outlier would stretch."""
     if not errors:
         return np.linspace(0.0, 1.0, BINS + 1)

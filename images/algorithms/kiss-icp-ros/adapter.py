@@ -2,8 +2,9 @@
 """Adapter of KISS-ICP as a ROS 1 node: scans from the lidar's topic, poses to /kiss_icp/odometry."""
 
 import numpy as np
+from adapter_frames import write_numbers
 from adapter_recording import decode_cloud, pose_stamp
-from adapter_ros import Frames, Poses, begin, write_numbers
+from adapter_ros import Frames, Poses, begin
 from adapter_support import Run, Stopwatch, run_adapter
 from kiss_icp.kiss_icp import KissICP
 from lockstep import configure

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import os
 
+from adapter_frames import write_numbers
 from adapter_recording import decode_image
-from adapter_ros import Frames, Poses, begin, write_numbers
+from adapter_ros import Frames, Poses, begin
 from adapter_support import AdapterError, Run, run_adapter
 from cameras import Pinhole
 from lockstep import Rig, Tracker, cameras_of, check_image, is_inertial

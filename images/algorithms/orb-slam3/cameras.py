@@ -91,10 +91,15 @@ class Rectification:
         ]
 
     def __call__(self, left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rectify a pair of images."""
+        """Rectify a pair of images; of a grey one and one in colour both come out grey.
+
+        ORB-SLAM3 takes the right one for what the left one is.
+        """
+        pair = [left, right]
+        if left.ndim != right.ndim:
+            pair = [cv2.cvtColor(one, cv2.COLOR_RGB2GRAY) if one.ndim > 2 else one for one in pair]
         first, second = (
-            cv2.remap(image, *maps, cv2.INTER_LINEAR)
-            for image, maps in zip((left, right), self._maps, strict=True)
+            cv2.remap(image, *maps, cv2.INTER_LINEAR) for image, maps in zip(pair, self._maps, strict=True)
         )
         return first, second
 

@@ -12,7 +12,7 @@ import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from slamhive.analysis.measures import ERRORS
+from slamhive.analysis.measures import KEPT_BESIDE
 from slamhive.analysis.measuring import measure, read_estimate
 from slamhive.contract.files import NotRegularError, compression_problem
 from slamhive.contract.lines import LIMIT_BYTES, named
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 BESIDE = "beside"
 _FILES = {"keyframes": KEYFRAMES, "online": ONLINE}
-_KEPT = ERRORS | {"message", "scale", "estimatePoses", "poses", "points"}
+_KEPT = KEPT_BESIDE | {"message"}
 
 
 def with_others(

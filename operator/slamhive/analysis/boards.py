@@ -10,22 +10,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.cells import Places
+from slamhive.analysis.columns import count_distinct
 from slamhive.analysis.grouping import (
     LOAD,
+    Copies,
     Groups,
     apart,
+    copy_notes,
     counting,
     covered,
     direction_notes,
     disturbance_notes,
+    idle_notes,
     pooling_notes,
+    reader_notes,
     sound,
     unranked_notes,
     varies,
     varying,
     worst,
 )
-from slamhive.analysis.measures import measure_of
+from slamhive.analysis.measures import follows_trajectory, measure_of
 from slamhive.analysis.statistics import Numbers, average_ranks
 
 if TYPE_CHECKING:
@@ -65,8 +70,9 @@ class Window:
         """
         if readable and self == Window():
             return np.arange(len(medians))
-        # Scores that differ by rounding alone are equal; those of whom nothing is ranked come last.
-        order = np.argsort(np.round(mean_ranks(medians), 12), kind="stable")
+        # Scores that differ by rounding alone are equal; those of whom no median came through come last.
+        scores = np.where(np.isfinite(medians).any(axis=1), np.round(mean_ranks(medians), 12), np.inf)
+        order = np.argsort(scores, kind="stable")
         begin = self.first - 1
         return np.sort(order[begin : begin + (self.most or READABLE)])
 
@@ -95,7 +101,8 @@ class Grid:
         numbers: the metric of each row, (n,).
         counted: rows with a figure that counts, (n,).
         failed: rows that failed of themselves, (n,): they rank behind all figures.
-        coverage: of each row, 0 where it failed of itself, NaN where that isn't known, (n,).
+        once: rows but those that repeat the result of an earlier one, where the metric is of it, (n,).
+        coverage: of each row, 0 where it failed of itself, NaN where that isn't known and for copies, (n,).
     """
 
     metric: str
@@ -108,6 +115,7 @@ class Grid:
     numbers: Floats
     counted: Mask
     failed: Mask
+    once: Mask
     coverage: Floats
 
     @property
@@ -118,7 +126,7 @@ class Grid:
     @cached_property
     def figures(self) -> Numbers:
         """The figures that count, of each place."""
-        return self.places.numbers(self.numbers, self.counted)
+        return self.places.numbers(self.numbers, self.counted & self.once)
 
     @cached_property
     def costs(self) -> Numbers:
@@ -128,7 +136,19 @@ class Grid:
     @cached_property
     def behind(self) -> Indices:
         """Numbers of failed runs of each place, which rank behind all its figures, (places,)."""
-        return self.places.counts(self.failed)
+        return self.places.counts(self.failed & self.once)
+
+    @cached_property
+    def contends(self) -> Mask:
+        """Mask of the competitors of whom any run has a figure, (c,): others have no rank and no rivals."""
+        found: Mask = np.zeros(len(self.competitors), dtype=bool)
+        found[self.at[self.figures.counts > 0, 0]] = True
+        return found
+
+    @cached_property
+    def rated(self) -> Floats:
+        """Medians of costs of those who contend, NaN for all others, (c, d)."""
+        return np.where(self.contends[:, None], self.medians, np.nan)
 
     @cached_property
     def medians(self) -> Floats:
@@ -156,9 +176,10 @@ class Grid:
 
 @dataclass(frozen=True)
 class PreparedGrids:
-    """Grids of one question, with sentences on what is pooled in them."""
+    """Grids of one question, with the settings that are pooled in them, and sentences."""
 
     grids: list[Grid]
+    pooled: dict[str, int]
     notes: tuple[str, ...]
 
 
@@ -190,13 +211,21 @@ def prepare(
     if "alignment" in facets or "evaluation" in facets:
         notes.append("runs of different evaluations are ranked apart: their errors can't be compared")
     pooled = [name for name in varying(frame) if name not in (*by, *facets)]
-    notes += [*pooling_notes(pooled), *direction_notes(metrics), *disturbance_notes(frame, metrics)]
-    notes += unranked_notes(frame, outcomes)
+    notes += [*pooling_notes(pooled), *idle_notes(frame, pooled)]
+    notes += [*direction_notes(metrics), *disturbance_notes(frame, metrics)]
+    notes += unranked_notes(frame, outcomes) + reader_notes(frame, metrics)
     if by_dataset:
         facets = [*facets, "dataset"]
     metric = metrics[0]
     numbers = np.where(sound(frame, metric, outcomes), frame.column(metric).floats(), np.nan)
-    marks = numbers, counting(frame, outcomes), worst(frame, metric, outcomes), covered(frame)
+    counted = counting(frame, outcomes)
+    once = ~Copies(frame, outcomes).among(Groups(frame, [*facets, *by, "dataset"]).of_row)
+    coverage = np.where(once, covered(frame), np.nan)
+    if follows_trajectory(metric):
+        notes += copy_notes(int((counted & ~once).sum()), metrics)
+    else:
+        once[:] = True
+    marks = numbers, counted, worst(frame, metric, outcomes), once, coverage
     groups = Groups(frame, facets)
     told = [name for name in by if name not in facets]
     grids = []
@@ -206,7 +235,15 @@ def prepare(
             mine = [of_row[rows[part]] for of_row in marks]
             grids.append(_grid(inside.select(part), shared, metric, told, mine))
     grids.sort(key=lambda grid: -len(grid.frame))
-    return PreparedGrids(grids, tuple(notes))
+    return PreparedGrids(grids, {name: _values(frame, name) for name in pooled}, tuple(notes))
+
+
+def _values(frame: Frame, name: str) -> int:
+    """Return the number of values of a pooled setting; having none is one beside a single other one."""
+    column = frame.column(name)
+    return max(
+        2, count_distinct((column.numbers if column.kind.is_numeric else column.codes)[column.present])
+    )
 
 
 def _comparable(frame: Frame, by: Sequence[str]) -> list[Mask]:

@@ -8,7 +8,7 @@ Python is one pass over plain numbers.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -64,23 +64,34 @@ class Cell:
 
     Attributes:
         keys: the values that its runs share, by column.
-        runs: number of rows: runs, each once an evaluation; n and all failures together.
-        n: number of runs that count.
+        runs: number of rows: runs, each once an evaluation; n, copies and all failures together.
+        n: number of results that count: runs with equal trajectories are one, where a metric is of those.
+        copies: number of runs that count and whose result another one of n has.
         failures: number of runs that don't, by what became of them.
         untracked: number of runs that count without being tracked, by what became of them.
         coverage: of the evaluated runs, and 0 for those that failed of themselves.
         figures: by column.
-        deterministic: whether the runs that count, more than one, have the very same trajectory.
+        findings: codes of what was known to be wrong with the recordings of its runs, sorted.
+        reader: whether its figures of CPU hold the reading of the recording, or may, and others' don't.
+        late: whether poses of some of its runs came late, so that its memory holds frames that waited.
     """
 
     keys: dict[str, Any]
     runs: int
     n: int
+    copies: int
     failures: dict[str, int]
     untracked: dict[str, int]
     coverage: Summary | None
     figures: dict[str, Figure]
-    deterministic: bool = False
+    findings: tuple[str, ...] = ()
+    reader: bool = False
+    late: bool = False
+
+    @property
+    def deterministic(self) -> bool:
+        """True if the runs that count, more than one, have the very same trajectory."""
+        return self.n == 1 and self.copies > 0
 
 
 class Places:
@@ -133,26 +144,13 @@ class Places:
             found[group][words[word]] = count
         return found
 
-    def agree(self, codes: Indices, inside: Mask) -> Mask:
-        """Tell of which groups several rows count, all with one and the same known code, (groups,)."""
-        kept = inside[self.order]
-        groups, mine = self.of_row[kept], codes[self.order][kept]
-        first = np.full(self.count, -1, dtype=mine.dtype)
-        first[groups[::-1]] = mine[::-1]
-        others = np.bincount(groups[mine != first[groups]], minlength=self.count)
-        agreeing: Mask = (np.bincount(groups, minlength=self.count) > 1) & (first >= 0) & (others == 0)
-        return agreeing
 
-
-def figures(
-    numbers: Numbers, failed: Indices | None = None, single: Sequence[bool] = (), sign: float = 1.0
-) -> list[Figure]:
+def figures(numbers: Numbers, failed: Indices | None = None, sign: float = 1.0) -> list[Figure]:
     """Return the figures of a metric; of an error, failed runs rank behind all others.
 
     Args:
         numbers: those that count.
         failed: number of failed runs of each group, (groups,); None where they have no rank.
-        single: whether the runs of a group are one and the same result; empty for none.
         sign: -1 where large numbers are good: then failed runs are below all others.
     """
     found, costs, summaries = [], numbers.times(sign), numbers.summaries()
@@ -162,16 +160,10 @@ def figures(
         numbers.points(),
         middles,
         [0] * len(summaries) if failed is None else failed.tolist(),
-        single or [False] * len(summaries),
         strict=True,
     )
-    for group, (summary, points, cost, behind, same) in enumerate(rows):
+    for group, (summary, points, cost, behind) in enumerate(rows):
         middle = None if cost is None else sign * cost
-        if same and summary is not None:
-            # One result, however often it came out: there is no sample that could have a spread.
-            mean = summary.median if summary.min == summary.max else summary.mean
-            found.append(Figure(replace(summary, mean=mean, std=None), points, None, None, behind, middle))
-            continue
         interval = of_median = None
         if summary and summary.n >= ENOUGH:
             interval = mean_interval(summary)
@@ -185,5 +177,12 @@ def figures(
 
 def different(codes: npt.NDArray[np.signedinteger[Any]]) -> Indices:
     """Return the places of codes that are like no earlier one; each below 0 is like none."""
-    _, firsts = np.unique(codes, return_index=True)
-    return np.union1d(firsts[codes[firsts] >= 0], np.flatnonzero(codes < 0)).astype(np.intp)
+    return np.flatnonzero(~again(codes) | (codes < 0))
+
+
+def again(*codes: npt.NDArray[np.integer[Any]]) -> Mask:
+    """Tell which places have the same codes as an earlier one, (n,)."""
+    found: Mask = np.zeros(len(codes[0]), dtype=bool)
+    order = np.lexsort(codes)  # equal ones stay in their order
+    found[order[1:]] = np.logical_and.reduce([one[order[1:]] == one[order[:-1]] for one in codes])
+    return found

@@ -160,7 +160,7 @@ def compare(
                 f"pairs by {', '.join(by)}: {count} competitors on one board, at most {MOST_TESTED} can be "
                 "compared; fewer columns in by, or a condition on the runs, leave fewer"
             )
-        chosen = window.of(grid.medians, readable=count <= MAX_COMPETITORS)
+        chosen = window.of(grid.rated, readable=count <= MAX_COMPETITORS)
         boards.append(_compared(grid, chosen))
         if told := window.notes(len(chosen), count):
             notes += [*told, "p is corrected for all pairs, shown or not"]
@@ -168,7 +168,7 @@ def compare(
 
 
 def _compared(grid: Grid, chosen: Indices) -> BoardComparison:
-    medians = grid.medians
+    medians = grid.rated
     first, second = np.triu_indices(len(grid.competitors), 1)
     common = ~np.isnan(medians[first]) & ~np.isnan(medians[second])
     some = common.any(axis=1)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from slamhive.analysis.columns import Column, ColumnKind
+from slamhive.model.results import TAG_SEPARATOR
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -154,6 +155,28 @@ class Membership:
     @cached_property
     def _text_numbers(self) -> frozenset[float | str]:
         return frozenset(map(_as_number, self._texts))
+
+
+@dataclass(frozen=True)
+class Holding:
+    """Condition that a text holds another in any spelling of its letters; tags hold whole ones."""
+
+    operand: Operand
+    text: str
+    negated: bool
+
+    def mask(self, frame: Frame) -> Mask:
+        """Tell for each row."""
+        of_tags = isinstance(self.operand, Name) and self.operand.name == "tags"
+        wanted = self.text.casefold()
+
+        def holds(found: Any) -> bool:
+            if found is None:
+                return False
+            text = str(found).casefold()
+            return wanted in (text.split(TAG_SEPARATOR) if of_tags else text)
+
+        return _by_value(self.operand, frame, holds) ^ self.negated
 
 
 @dataclass(frozen=True)

@@ -7,17 +7,23 @@
 ``dataset.version``    8 digits of what the dataset was: its files, and how they were prepared
 ``superseded``         why a run is no current one: algorithm changed, dataset changed, sweep edited
 ``ate.extended``       the original system's error that grows as coverage falls
+``lateSeconds``        how late a node's poses came in real time, where that is more than a few frames
+``beside.online.…``    causal figures, which are the final ones where no pose was published otherwise later
 """
 
 from __future__ import annotations
 
 import hashlib
+import re
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from slamhive.analysis.columns import Column, ColumnKind, renumbered
 from slamhive.analysis.frame import DERIVED, Frame
+from slamhive.analysis.grouping import where_equal
+from slamhive.analysis.measures import CAUSAL, KEPT_BESIDE
+from slamhive.model.algorithm import Pace
 from slamhive.model.results import Phase
 
 if TYPE_CHECKING:
@@ -25,7 +31,7 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
-    from slamhive.analysis.columns import Indices, Mask
+    from slamhive.analysis.columns import Floats, Indices, Mask
 
 MAX_CONTENDED = 0.1
 MAX_THROTTLED = 0.01
@@ -34,6 +40,21 @@ MAX_THROTTLED = 0.01
 ALGORITHM_CHANGED = "algorithm changed"
 DATASET_CHANGED = "dataset changed"
 SWEEP_EDITED = "sweep edited"
+
+PACE = "input.pace"
+LATENCY = "metrics.latencySeconds."
+"""Beginning of the columns of the time from a frame to the first pose for it."""
+PUBLISHED = "metrics.posesPublished"
+"""Column of how many stamps a player heard a pose for."""
+LATE_SECONDS = "lateSeconds"
+"""Column of how late poses came in real time, where that is more than a few frames."""
+
+FEW_FRAMES = 5
+"""Frames up to which nothing is said of a node that is so many behind: some hold back as many by design."""
+FEW_SECONDS = 1.0
+"""Time in their place where the frame rate isn't known, s."""
+
+_COPIED = re.compile(rf"({'|'.join(('outcome', 'coverage', *sorted(KEPT_BESIDE)))})([.\[].*)?")
 
 NOT_EVALUATED = "NotEvaluated"
 
@@ -72,6 +93,8 @@ def with_derived(columns: Mapping[str, Column], length: int, sweeps: Sequence[Sw
         sweeps: all versions of the sweeps that runs belong to.
     """
     given = {name: column for name, column in columns.items() if name not in DERIVED}
+    if (told := given.get("usage.includesReader")) is not None and told.kind is ColumnKind.BOOLEAN:
+        given["usage.includesReader"] = _includes_reader(Frame(given, length))
     frame = Frame(given, length)
     extra = {
         "status": _status(frame),
@@ -80,6 +103,8 @@ def with_derived(columns: Mapping[str, Column], length: int, sweeps: Sequence[Sw
         "dataset.version": _version(frame, _DATASET),
         "superseded": _superseded(frame, sweeps),
         "ate.extended": _extended(frame),
+        LATE_SECONDS: _lateness(frame),
+        **_causal(frame),
     }
     kept = {name: column for name, column in extra.items() if not column.is_empty}
     return Frame({**given, **kept}, length)
@@ -121,6 +146,16 @@ def _status(frame: Frame) -> Column:
     return Column.of_codes(lookup[places], kept)
 
 
+def _includes_reader(frame: Frame) -> Column:
+    """Tell if CPU figures hold the reader: not known where nothing was taken out, and none said so.
+
+    Records of earlier versions say false then.
+    """
+    told = frame.column("usage.includesReader").floats()
+    silent = (told == 0) & ~frame.column("usage.readerCpuSeconds").present
+    return Column.of_numbers(np.where(silent, np.nan, told), ColumnKind.BOOLEAN)
+
+
 def _disturbed(frame: Frame) -> Column:
     wall = frame.column("usage.wallSeconds").floats()
     contended = np.nan_to_num(frame.column("usage.contendedSeconds").floats())
@@ -134,6 +169,70 @@ def _extended(frame: Frame) -> Column:
     error = frame.column("ate.rmse").floats()
     factor = np.select([coverage >= 0.75, coverage >= 0.5, coverage >= 0.25], [1.0, 2.0, 5.0], 10.0)
     return Column.of_numbers(np.where(np.isnan(coverage), np.nan, error * factor))
+
+
+def _played(frame: Frame) -> Mask:
+    """Tell which rows are of runs that were played to, (n,)."""
+    found: Mask = np.zeros(len(frame), dtype=bool)
+    for pace in Pace:
+        if pace.is_played:
+            found |= where_equal(frame, PACE, pace.value)
+    return found
+
+
+def late_seconds(latest: Floats, frame_rate: Floats, rate: Floats) -> Floats:
+    """Return by how much poses came late, NaN where that is a few frames at most, (n,).
+
+    Args:
+        latest: longest time from a frame to its pose, s, (n,).
+        frame_rate: of the recording that was played, Hz, NaN where it isn't known, (n,).
+        rate: speed of playback, NaN for 1, (n,).
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        few = FEW_FRAMES / (frame_rate * np.where(np.isnan(rate), 1.0, rate))
+    few = np.where(np.isfinite(few), few, FEW_SECONDS)
+    return np.where(latest > few, latest, np.nan)
+
+
+def _lateness(frame: Frame) -> Column:
+    """Return the column of how late poses came, where the clock waited for nobody."""
+    latest = frame.column(f"{LATENCY}max").floats()
+    found = late_seconds(
+        latest, frame.column("prepared.frameRate").floats(), frame.column("input.rate").floats()
+    )
+    found[where_equal(frame, PACE, Pace.STEPPED.value)] = np.nan  # the frames did not wait, the clock did
+    return Column.of_numbers(found)
+
+
+def _causal(frame: Frame) -> dict[str, Column]:
+    """Return the columns of causal figures that a table lacks, and those that it has in part.
+
+    The player notes how many poses were published, and writes the first ones where a later one differs: where
+    it wrote none, the first are the last.
+    """
+    outcome = frame.column(f"{CAUSAL}outcome")
+    same = (frame.column(PUBLISHED).floats() > 0) & _played(frame) & frame.column("outcome").present
+    same &= ~outcome.present & ~frame.column(f"{CAUSAL}message").present
+    if not same.any():
+        return {}
+    rows = np.flatnonzero(same)
+    return {
+        f"{CAUSAL}{name}": _filled(frame.column(f"{CAUSAL}{name}"), frame.column(name), rows)
+        for name in frame.stored
+        if _COPIED.fullmatch(name)
+    }
+
+
+def _filled(column: Column, source: Column, rows: Indices) -> Column:
+    """Return a column with another one's values at some places, (k,)."""
+    if source.kind.is_numeric and column.kind.is_numeric:
+        numbers = column.numbers.copy()
+        numbers[rows] = source.numbers[rows]
+        return Column.of_numbers(numbers, source.kind if column.is_empty else column.kind)
+    values = column.tolist()
+    for row, value in zip(rows.tolist(), source.take(rows).tolist(), strict=True):
+        values[row] = value
+    return Column.of(values)
 
 
 def _version(frame: Frame, names: Sequence[str]) -> Column:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from slamhive.model.algorithm import Pace
 from slamhive.model.base import Choice
 
 if TYPE_CHECKING:
@@ -28,6 +29,8 @@ MOST_BINS = 8
 
 MOST_OPTIONS = 6
 """Options of an algorithm that are looked at, those with most values among what is asked for first."""
+
+_PLAYED = frozenset(pace.value for pace in Pace if pace.is_played)
 
 KINDS = ("name", "mode", "dataset", "unknown length", "pair", "option", "processor", "trend", "occasion")
 """Kinds of effects."""
@@ -94,8 +97,8 @@ class Setting(NamedTuple):
         """Return the work that a cost grows with in proportion; None where it isn't known."""
         if quantity is Quantity.MEMORY:
             return 1.0
-        if quantity is Quantity.WALL and self.pace == "Realtime" and self.seconds:
-            return self.seconds / self.rate
+        if quantity is Quantity.WALL and self.pace in _PLAYED and self.seconds:
+            return self.seconds / self.rate  # Stepped takes longer, by what the known runs tell
         if not self.frames:
             return None
         return self.frames * (1.0 if quantity is Quantity.DISK else self.resolution)

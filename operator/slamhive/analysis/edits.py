@@ -2,7 +2,8 @@
 """Summary of an edit: what it did to errors, failures and load, dataset by dataset.
 
 Each line is one figure on one dataset, by `slamhive.analysis.versions`: settings that ran with the current
-version and the one before it, each by the median of its repetitions.
+version and one before it, each by the median of its repetitions. All else is as it is now: runs of an
+algorithm that was edited since tell nothing of an edit of their dataset, and the other way round.
 """
 
 from __future__ import annotations
@@ -13,18 +14,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.columns import count_distinct
 from slamhive.analysis.grouping import where_equal
+from slamhive.analysis.measures import is_error
 from slamhive.analysis.versions import before_and_after, permutation_test, verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Mapping, Sequence
 
-    from slamhive.analysis.columns import Floats
+    from slamhive.analysis.columns import Floats, Mask
     from slamhive.analysis.frame import Frame
     from slamhive.analysis.versions import Change, Side, Version
 
 NOT_TRACKED = "runs not tracked"
+_ERROR = "ate.rmse"
 
 
 @dataclass(frozen=True)
@@ -34,11 +36,12 @@ class EditLine:
     Attributes:
         keys: dataset and what else its runs share, by column.
         metric: the figure's column, or ``NOT_TRACKED``.
-        before, after: geometric means over settings; infinite where a setting's median run failed. Of
-            ``NOT_TRACKED``: numbers of runs.
+        before, after: geometric means over settings, without those that failed on both sides if others are
+            left; infinite where a setting's median run failed. Of ``NOT_TRACKED``: numbers of runs.
         of: runs before and after, of ``NOT_TRACKED``; None for figures.
         ratio: after over before; NaN where failed runs forbid it.
         wins: settings in which after is better, worse, the same.
+        failed: number of settings whose median run failed before and after: they are none of these.
         deterministic: whether each setting has one result on each side, however often it ran.
         p: that both are equally good, two-sided; None where nothing was tested.
         verdict: what the test says, in words; empty where there is nothing to test.
@@ -51,6 +54,7 @@ class EditLine:
     of: tuple[int, int] | None
     ratio: float
     wins: tuple[int, int, int]
+    failed: int
     deterministic: bool
     p: float | None
     verdict: str
@@ -67,7 +71,8 @@ class Edit:
         lines: what they come to.
         settings: number of settings that ran with both, on all datasets.
         unpaired: number of those that ran with one of them alone.
-        disturbed: runs before and after that shared their cores with other work or were throttled.
+        runs: number of runs before and after, of these and of the others.
+        disturbed: number of those that shared their cores with other work or were throttled.
     """
 
     changed: str
@@ -77,52 +82,62 @@ class Edit:
     lines: list[EditLine]
     settings: int
     unpaired: int
+    runs: tuple[int, int]
     disturbed: tuple[int, int]
 
 
-def edits(frame: Frame, metrics: Sequence[str], names: Collection[str]) -> tuple[list[Edit], list[str]]:
-    """Return the effects of the latest edits of some algorithms or datasets, and notes.
-
-    The current version is compared with the earlier one that has most settings in common with it, the latest
-    of several: one that was edited again after its first runs tells little.
+def edits(
+    frame: Frame, metrics: Sequence[str], before: Mapping[tuple[str, str], str]
+) -> tuple[list[Edit], list[str]]:
+    """Return the effects of edits of some algorithms or datasets, and notes.
 
     Args:
         frame: one row a run and evaluation, superseded ones too.
-        metrics: columns of numbers; failures are counted by the first.
-        names: of the algorithms and datasets that were edited.
+        metrics: columns of numbers; failures are counted by the first error of them.
+        before: version that the current one is compared with, by ``algorithm`` or ``dataset`` and its name.
     """
-    found: dict[tuple[str, str], list[tuple[Change, bool]]] = {}
+    error = next(filter(is_error, metrics), None)
+    if error is None:  # where nothing ever succeeded there is none, and that is to be said
+        error, metrics = _ERROR, (_ERROR, *metrics)
+    found: list[Edit] = []
     notes: dict[str, None] = {}
-    for dataset in _names(frame, "dataset"):
-        part = frame.select(where_equal(frame, "dataset", dataset))
-        for place, metric in enumerate(metrics):
-            changes, said = before_and_after(part, metric)
-            notes |= dict.fromkeys(said if place == 0 else ())
-            for change in changes:
-                owner = str(change.keys[change.changed])
-                if owner in names and change.current:
+    for (changed, name), version in before.items():
+        sides = _sides(frame, changed, name, version)
+        part = frame.select(sides[0] | sides[1])
+        changes: list[tuple[Change, bool]] = []
+        for dataset in _names(part, "dataset"):
+            rows = part.select(where_equal(part, "dataset", dataset))
+            for metric in metrics:
+                compared, said = before_and_after(rows, metric)
+                notes |= dict.fromkeys(said if metric == error else ())
+                changes += [
                     # It is asked for alone: nothing is to be corrected for the versions before.
-                    alone = replace(change, keys={"dataset": dataset, **change.keys}, p_holm=change.p)
-                    found.setdefault((change.changed, owner), []).append((alone, place == 0))
-    return [_edit(frame, *key, _of_one_version(changes)) for key, changes in found.items()], list(notes)
+                    (replace(one, keys={"dataset": dataset, **one.keys}, p_holm=one.p), metric == error)
+                    for one in compared
+                    if (one.changed, one.before.version, one.current) == (changed, version, True)
+                ]
+        if changes:
+            found.append(_edit(changed, name, changes, [frame.select(side) for side in sides]))
+    return found, list(notes)
 
 
-def _of_one_version(changes: Sequence[tuple[Change, bool]]) -> list[tuple[Change, bool]]:
-    """Return the changes from the earlier version that has most settings in common with the current one."""
-    common: dict[str, tuple[int, float]] = {}
-    for change, is_first in changes:
-        count, last = common.get(change.before.version, (0, -math.inf))
-        moment = change.before.last if change.before.last is not None else -math.inf
-        common[change.before.version] = (count + is_first * len(change.settings), max(last, moment))
-    chosen = max(common, key=lambda version: common[version])
-    return [pair for pair in changes if pair[0].before.version == chosen]
+def _sides(frame: Frame, changed: str, name: str, version: str) -> tuple[Mask, Mask]:
+    """Tell which rows are of an earlier version, with all else as it is now, and of the current one."""
+    own = where_equal(frame, changed, name)
+    current = own & ~frame.column("superseded").present
+    before = own & where_equal(frame, f"{changed}.version", version) & ~current
+    other = "dataset" if changed == "algorithm" else "algorithm"
+    others = list(zip(frame.column(other).tolist(), frame.column(f"{other}.version").tolist(), strict=True))
+    known = {others[row] for row in np.flatnonzero(current).tolist()}
+    before &= np.array([one in known for one in others], dtype=bool)
+    return before, current
 
 
 def _names(frame: Frame, column: str) -> list[str]:
     return [str(value) for value in frame.column(column).factorized()[1] if value is not None]
 
 
-def _edit(frame: Frame, changed: str, name: str, changes: Sequence[tuple[Change, bool]]) -> Edit:
+def _edit(changed: str, name: str, changes: Sequence[tuple[Change, bool]], sides: Sequence[Frame]) -> Edit:
     first = [change for change, is_first in changes if is_first] or [changes[0][0]]
     lines = []
     for change, is_first in changes:
@@ -131,6 +146,7 @@ def _edit(frame: Frame, changed: str, name: str, changes: Sequence[tuple[Change,
             lines.append(_line(keys, change))
         if is_first and change.settings:
             lines.append(_failures(keys, change))
+    before, after = sides
     return Edit(
         changed=changed,
         name=name,
@@ -139,21 +155,18 @@ def _edit(frame: Frame, changed: str, name: str, changes: Sequence[tuple[Change,
         lines=lines,
         settings=sum(len(change.settings) for change in first),
         unpaired=sum(change.unpaired for change in first),
-        disturbed=(
-            _disturbed(frame, changed, name, first[0].before.version),
-            _disturbed(frame, changed, name, first[0].after.version),
-        ),
+        runs=(before.count_runs(), after.count_runs()),
+        disturbed=(_disturbed(before), _disturbed(after)),
     )
 
 
-def _disturbed(frame: Frame, changed: str, name: str, version: str) -> int:
-    own = where_equal(frame, changed, name) & where_equal(frame, f"{changed}.version", version)
-    own &= np.nan_to_num(frame.column("disturbed").floats()) > 0
-    return count_distinct(frame.column("id").floats()[own])
+def _disturbed(frame: Frame) -> int:
+    return frame.count_runs(frame.column("disturbed").floats() > 0)
 
 
 def _line(keys: dict[str, Any], change: Change) -> EditLine:
-    sides = [np.array([getattr(one, side).median for one in change.settings]) for side in ("before", "after")]
+    compared = [one for one in change.settings if not one.failed] or change.settings
+    sides = [np.array([getattr(one, side).median for one in compared]) for side in ("before", "after")]
     return EditLine(
         keys=keys,
         metric=change.metric,
@@ -162,6 +175,7 @@ def _line(keys: dict[str, Any], change: Change) -> EditLine:
         of=None,
         ratio=change.ratio,
         wins=change.wins,
+        failed=change.failed,
         deterministic=change.deterministic,
         p=change.p if change.test else None,
         verdict=change.verdict,
@@ -183,13 +197,14 @@ def _failures(keys: dict[str, Any], change: Change) -> EditLine:
         (sum(old.values) / max(len(old.values), 1), sum(new.values) / max(len(new.values), 1))
         for old, new in zip(before, after, strict=True)
     ]
+    failed = sum(old.is_all and new.is_all for old, new in zip(before, after, strict=True))
     wins = (
         sum(new < old for old, new in shares),
         sum(new > old for old, new in shares),
-        sum(new == old for old, new in shares),
+        sum(new == old for old, new in shares) - failed,
     )
     p, told = None, ""
-    if wins[2] < len(shares) and not change.deterministic:
+    if any(wins[:2]) and not change.deterministic:
         pairs = [(np.array(old.values), np.array(new.values)) for old, new in zip(before, after, strict=True)]
         p, least = permutation_test(pairs)
         told = verdict(p, least)
@@ -202,6 +217,7 @@ def _failures(keys: dict[str, Any], change: Change) -> EditLine:
         of=(sum(one.before.runs for one in change.settings), sum(one.after.runs for one in change.settings)),
         ratio=math.nan,
         wins=wins,
+        failed=failed,
         deterministic=change.deterministic,
         p=p,
         verdict=told,
@@ -214,6 +230,11 @@ class _Failed:
 
     number: int
     values: list[float]
+
+    @property
+    def is_all(self) -> bool:
+        """True if none of the runs has a figure that counts."""
+        return bool(self.values) and all(self.values)
 
 
 def _unsound(side: Side) -> _Failed:

@@ -8,12 +8,14 @@
     not-part   = "not" not-part | "(" condition ")" | comparison
     comparison = operand { ("==" | "=" | "!=" | "<" | "<=" | ">" | ">=") operand }
                | operand [ "not" ] "in" "(" literal { "," literal } ")"
+               | operand [ "not" ] "contains" ( word | 'text' | "text" )
                | operand "is" [ "not" ] "null"
     operand    = column | `column` | number | 'text' | "text" | true | false | null
 
 A column that a row lacks is null. Null equals nothing but null and has no order, so ``x < 5`` and
 ``x >= 5`` are both false where x is missing. A text that looks like a number compares as one with
-numbers. Nothing is ever evaluated as a program.
+numbers. A text contains another in any spelling of its letters, tags contain whole ones. Nothing is ever
+evaluated as a program.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from slamhive.analysis.conditions import (
     All,
     AnyOf,
     Comparison,
+    Holding,
     Literal,
     Membership,
     Name,
@@ -175,8 +178,11 @@ class _Parser:
         negated = bool(self._take("not"))
         if self._take("in"):
             return Membership(left, tuple(self._list()), negated)
+        if self._token.kind == "name" and self._token.value.lower() == "contains":
+            self._next += 1
+            return Holding(left, self._text_held(), negated)
         if negated:
-            self._fail("expected 'in' after 'not'")
+            self._fail("expected 'in' or 'contains' after 'not'")
         parts: list[Node] = []
         while symbol := self._take(*ORDERS, *_EQUAL):
             right = self._operand()
@@ -186,6 +192,18 @@ class _Parser:
         if not parts:
             return Truth(left)
         return parts[0] if len(parts) == 1 else All(tuple(parts))
+
+    def _text_held(self) -> str:
+        """Take the text behind ``contains``: one word may stand without quotes."""
+        token, behind = self._token, self._tokens[min(self._next + 1, len(self._tokens) - 1)]
+        if token.kind not in {"name", "number", "text"}:
+            self._fail("expected a word or a text in quotes after 'contains'")
+        if token.kind == "text":
+            return str(self._literal())
+        if behind.kind == "symbol" and behind.value != ")":
+            self._fail("a text of more than letters, digits and _ stands in quotes")
+        self._next += 1
+        return token.value
 
     def _expect_null(self) -> None:
         token = self._token

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 CORE_COLUMNS: tuple[str, ...] = (
     *("run", "sweep", "algorithm", "sensors", "dataset", "repetition", "seed"),
-    *("phase", "reason", "message", "attempts"),
+    *("phase", "reason", "message", "attempts", "note", "tags"),
     *("evaluation", "alignment", "outcome", "coverage", "scale"),
     *(f"ate.{name}" for name in STATISTICS),
     *(f"rpe[0].{name}" for name in ("delta", "unit", "pairs", "count", *STATISTICS)),
@@ -53,7 +53,7 @@ OF_RUN: Mapping[str, str] = {
         for name in (
             *("id", "uid", "name", "sweep", "namespace", "cluster", "algorithm", "dataset", "sensors"),
             *("repetition", "seed", "phase", "reason", "message", "attempts", "folder"),
-            *("created", "started", "finished"),
+            *("created", "started", "finished", "note", "tags"),
         )
     },
 }
@@ -90,7 +90,7 @@ MAX_COLUMNS = 1500
 LEFT_OUT = frozenset({"transform", "notes", "pointErrors"})
 """Names of results that are no figures."""
 
-_KEPT = frozenset({"id", "uid", "name", "evaluation", "outcome", "coverage"})
+_KEPT = frozenset({"id", "uid", "name", "note", "tags", "evaluation", "outcome", "coverage"})
 """Columns that an evaluator's own names never replace."""
 
 _FIRST = re.compile(r"[^.\[]*")

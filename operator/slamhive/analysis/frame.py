@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.columns import Column
+from slamhive.analysis.columns import Column, count_distinct
 from slamhive.analysis.flattening import CORE_COLUMNS
 from slamhive.analysis.measures import columns_ending_in
 from slamhive.model.errors import InputError, UnknownNameError
@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     Declared = Mapping[str, Mapping[str, str]]
 
 DERIVED = frozenset(
-    {"status", "disturbed", "superseded", "algorithm.version", "dataset.version", "ate.extended"}
+    {
+        *("status", "disturbed", "superseded", "algorithm.version", "dataset.version", "ate.extended"),
+        "lateSeconds",
+    }
 )
 """Columns that follow from others."""
 
@@ -149,6 +152,11 @@ class Frame:
         chosen = Frame(self._columns, self._length, self.rows[rows], self.declared)
         chosen._own = {name: column.take(rows) for name, column in self._own.items()}
         return chosen
+
+    def count_runs(self, mask: Mask | None = None) -> int:
+        """Return the number of runs that rows are of, all or some: one has a row for each evaluation."""
+        ids = self.column("id").floats()
+        return count_distinct(ids if mask is None else ids[mask])
 
     def replaced(self, columns: Mapping[str, Column]) -> Frame:
         """Return the same rows with other columns of some names."""

@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.cells import Cell, Figure, Places, figures
+from slamhive.analysis.cells import Cell, Figure, Places, again, figures
 from slamhive.analysis.columns import Column, renumbered
 from slamhive.analysis.measures import BESIDE, CONFIGURATION, Better, follows_trajectory, is_error, measure_of
 from slamhive.analysis.statistics import edges
+from slamhive.model.algorithm import Pace
 from slamhive.model.base import Choice
 from slamhive.model.results import Outcome, Reason
 
@@ -38,6 +39,7 @@ FACETS = (
     "evaluation",
     "alignment",
     "settings",
+    "evaluationVersion",
     "input.pace",
     "algorithm.version",
     "dataset.version",
@@ -53,17 +55,31 @@ MEMORY_FACETS = ("usage.memory.kind",)
 OWNERS = {
     "alignment": "evaluation",
     "settings": "evaluation",
+    "evaluationVersion": "evaluation",
     "algorithm.version": "algorithm",
     "dataset.version": "dataset",
 }
 """Facets that need not be told where they follow from another one."""
 
 LOAD = "usage."
+CPU = "usage.cpu."
 MEMORY = "usage.memory."
-"""Beginnings of the names of figures of load, and of memory."""
+"""Beginnings of the names of figures of load, of CPU, and of memory."""
 
-_LATE_SECONDS = 1.0
-"""Latency of a pose from which a program holds more frames than it works on."""
+FINDINGS = "prepared.findings"
+"""Column of the codes of what was known to be wrong with a run's recording."""
+MARK = "†"
+"""Sign of figures of such runs."""
+
+READER = "‡"
+"""Sign of figures of CPU that hold the reading of the recording, or may, beside others that don't."""
+
+COPIED = "(=)"
+"""Sign of numbers of results that more runs than those have."""
+
+LATE = "§"
+"""Sign of figures of memory of runs whose poses came late, so that frames waited in it."""
+
 DISTURBED = ("usage.cpu.meanCores", "usage.cpu.maxCores", "usage.wallSeconds")
 """Columns that say nothing where a run shared its cores with other work or was throttled."""
 
@@ -173,11 +189,9 @@ def aggregate(
     members = list(groups.members())
     cells = _cells(groups, metrics, outcomes)
     pooled = [name for name in changing if name not in groups.names]
-    notes = [*pooling_notes(pooled), *disturbance_notes(frame, metrics)]
-    same = sum(cell.deterministic for cell in cells)
-    if same and any(map(follows_trajectory, metrics)):
-        rows = "1 row is" if same == 1 else f"{same} rows are"
-        notes.append(f"{rows} deterministic: one result, n equal runs")
+    notes = [*pooling_notes(pooled), *idle_notes(frame, pooled)]
+    notes += [*disturbance_notes(frame, metrics), *finding_notes(frame)]
+    notes += copy_notes(sum(cell.copies for cell in cells), metrics) + reader_notes(frame, metrics)
     return Aggregate(groups.names, tuple(facets), tuple(metrics), cells, members, tuple(notes))
 
 
@@ -185,31 +199,131 @@ def pooling_notes(pooled: Sequence[str]) -> list[str]:
     """Say which settings are averaged over."""
     if not pooled:
         return []
-    named = list(pooled[:_MOST_NAMES])
-    if len(pooled) > _MOST_NAMES:
-        named.append(f"{len(pooled) - _MOST_NAMES} more")
-    return [f"averaged over different values of {', '.join(named)}"]
+    return [f"averaged over different values of {', '.join(_first(pooled))}"]
+
+
+def idle_notes(frame: Frame, pooled: Sequence[str]) -> list[str]:
+    """Say which settings change nothing though averaged over: trajectories are equal at all values."""
+    tracks = frame.column("trajectory.sha256")
+    if not pooled or tracks.kind.is_numeric:
+        return []
+    groups = Groups(frame, SUBJECT)
+    members = list(zip(groups.keys, groups.members(), strict=True))
+    equal = [bool((tracks.codes[rows] == max(tracks.codes[rows[0]], 0)).all()) for _, rows in members]
+    able = {key["algorithm"] for (key, _), same in zip(members, equal, strict=True) if same}
+    idle: set[tuple[Any, str]] = set()
+    moved: set[tuple[Any, str]] = set()
+    for (key, rows), same in zip(members, equal, strict=True):
+        if key["algorithm"] in able:
+            inside = frame.select(rows)
+            (idle if same else moved).update((key["algorithm"], one) for one in pooled if varies(inside, one))
+    told = [f"{name.rpartition('.')[2]} changes nothing for {whom}" for whom, name in sorted(idle - moved)]
+    return [f"{'; '.join(_first(told))}: equal trajectories at all values"] if told else []
 
 
 def disturbance_notes(frame: Frame, metrics: Sequence[str]) -> list[str]:
-    """Say how many runs are left out of the figures on load, and how many fell behind in those on memory."""
+    """Say how many runs are left out of the figures on load, how many fell behind, and whose load is none."""
     notes = []
     left_out = [name for name in metrics if name in DISTURBED]
-    count = int(np.nansum(frame.column("disturbed").floats())) if left_out else 0
+    count = frame.count_runs(frame.column("disturbed").floats() > 0) if left_out else 0
     if count:
         runs = "1 run" if count == 1 else f"{count} runs"
         notes.append(
             f"{runs} shared cores with other work or were throttled: left out of {', '.join(left_out)}"
         )
+    timed = where_equal(frame, "input.pace", Pace.REALTIME.value)
+    others = [pace.value for pace in Pace if where_equal(frame, "input.pace", pace.value)[~timed].any()]
+    if left_out and others and timed.any():
+        whose = f"{', '.join(left_out)} of runs in {' and '.join(others)}"
+        notes.append(
+            f"{whose} say how fast a program was, not what a robot needs, as those in Realtime do: compare "
+            "usage.cpu.secondsPerDataSecond"
+        )
+    return [*notes, *(f"{LATE} {note}" for note in late_notes(frame, metrics))]
+
+
+def late_notes(frame: Frame, metrics: Iterable[str]) -> list[str]:
+    """Say what memory means of runs whose poses came late, where it is shown."""
+    count = frame.count_runs(falls_behind(frame, metrics))
+    if not count:
+        return []
+    late = frame.column("lateSeconds").floats()
+    runs = "" if len(frame) == 1 else " in 1 run" if count == 1 else f" in {count} runs"
+    return [late_words(float(np.nanmax(late)), runs)]
+
+
+def falls_behind(frame: Frame, metrics: Iterable[str]) -> Mask:
+    """Tell of which rows memory is shown that holds frames that waited, (n,)."""
     if any(name.startswith(MEMORY) for name in metrics):
-        latest = frame.column("metrics.latencySeconds.max").floats()
-        late = latest[latest > _LATE_SECONDS]
-        if late.size:
-            runs = "1 run" if late.size == 1 else f"{late.size} runs"
-            notes.append(
-                f"{runs} fell up to {late.max():.0f} s behind in real time: their memory holds what waited"
-            )
-    return notes
+        return frame.column("lateSeconds").present
+    return np.zeros(len(frame), dtype=bool)
+
+
+def late_words(seconds: float, runs: str = "") -> str:
+    """Return the remark on memory where poses came late, of some runs: `` in 3 runs``."""
+    return (
+        f"poses came up to {seconds:.2g} s late{runs}: memory says how far it fell behind, not what it needs"
+    )
+
+
+def copy_notes(copies: int, metrics: Iterable[str]) -> list[str]:
+    """Say how many runs repeat a result, and that it counts once."""
+    if not copies:
+        return []
+    names = list(metrics)
+    told = "1 run repeats" if copies == 1 else f"{copies} runs repeat"
+    whole = "; loads are of all runs" if not all(map(follows_trajectory, names)) else ""
+    return [f"equal results count once {COPIED}, in n and in errors: {told} another's trajectory{whole}"]
+
+
+def holds_reader(frame: Frame, metrics: Iterable[str]) -> Mask:
+    """Tell of which rows CPU is shown that holds reading, or may, where that of others doesn't, (n,)."""
+    told = frame.column("usage.includesReader").floats()
+    measured = frame.column("usage.cpu.seconds").present
+    if not any(name.startswith(CPU) for name in metrics) or not (told == 0).any():
+        measured = np.zeros_like(measured)
+    found: Mask = measured & (told != 0)
+    return found
+
+
+def reader_notes(frame: Frame, metrics: Iterable[str]) -> list[str]:
+    """Say whose CPU holds the reading of the recording where that of others doesn't."""
+    rows = holds_reader(frame, metrics)
+    if not rows.any():
+        return []
+    names = sorted({str(name) for name in frame.select(rows).column("algorithm").tolist()})
+    whose = f"{READER} the CPU of {', '.join(_first(names))}"
+    return [f"{whose} holds the reading of the recording, or may: it can't be compared with that of others"]
+
+
+def finding_notes(frame: Frame) -> list[str]:
+    """Say what was known to be wrong with which datasets, where their runs are marked."""
+    found: dict[str, set[str]] = {}
+    words, codes = _findings(frame)
+    datasets = frame.column("dataset").tolist() if words else []
+    for row in np.flatnonzero(codes >= 0).tolist():
+        found.setdefault(str(datasets[row]), set()).update(words[codes[row]])
+    if not found:
+        return []
+    told = [f"{name}: {', '.join(sorted(found[name]))}" for name in sorted(found)]
+    return [f"{MARK} the recording has open findings ({'; '.join(_first(told))})"]
+
+
+def _first(told: Sequence[str]) -> list[str]:
+    """Return the first of some words, and how many more there are."""
+    more = len(told) - _MOST_NAMES
+    return [*told[:_MOST_NAMES], *([f"{more} more"] if more > 0 else [])]
+
+
+def _findings(frame: Frame) -> tuple[list[list[str]], Indices]:
+    """Return the codes that rows may have, and which of these each has, -1 for none."""
+    column = frame.column(FINDINGS)
+    if column.kind.is_numeric:
+        return [], np.full(len(frame), -1, dtype=np.intp)
+    words = [
+        [str(one) for one in value] if isinstance(value, list) else [str(value)] for value in column.values
+    ]
+    return words, column.codes.astype(np.intp)
 
 
 def direction_notes(metrics: Iterable[str]) -> list[str]:
@@ -278,8 +392,61 @@ def unranked_notes(frame: Frame, outcomes: Outcomes) -> list[str]:
     if not unranked.any():
         return []
     status = frame.column("status")
-    words = [f"{count} {word}" for word, count in tally(status.values, status.codes[unranked]).items()]
+    ids = frame.column("id").floats()[unranked]
+    codes = status.codes[unranked]
+    each = np.unique(np.stack([ids, codes]), axis=1, return_index=True)[1]  # a run once, however measured
+    words = [f"{count} {word}" for word, count in tally(status.values, codes[each]).items()]
     return [f"{', '.join(words)}: no rank, as the algorithm is not to blame"]
+
+
+class Copies:
+    """Finder of runs that repeat the result of an earlier one of their group: a result counts once.
+
+    Equal trajectories are one result. So are equal failures of one setting without a trajectory, where the
+    program is deterministic as far as the group shows: trajectories came again, and no setting ended in two
+    ways. Else repetitions that failed would outweigh those that were tracked.
+
+    Args:
+        frame: the rows.
+        outcomes: which runs enter the figures.
+    """
+
+    def __init__(self, frame: Frame, outcomes: Outcomes) -> None:
+        self._frame = frame
+        self._counted = counting(frame, outcomes)
+        self._judged = self._counted | failing(frame, outcomes)
+        tracks = frame.column("trajectory.sha256")
+        self._tracks = np.full(len(frame), -1) if tracks.kind.is_numeric else tracks.codes
+
+    @cached_property
+    def _settings(self) -> Indices:
+        return Groups(self._frame, [*FACETS, *varying(self._frame)]).of_row
+
+    def among(self, of_row: Indices, of_wider: Indices | None = None) -> Mask:
+        """Tell which rows are such copies, (n,).
+
+        Args:
+            of_row: the group of each row, (n,).
+            of_wider: groups that may show more of the program, (n,); default: the same.
+        """
+        wider = of_row if of_wider is None else of_wider
+        found: Mask = np.zeros(len(of_row), dtype=bool)
+        known = np.flatnonzero(self._judged & (self._tracks >= 0))
+        tracks = self._tracks[known]
+        known = known[np.bincount(tracks)[tracks] > 1]
+        found[known] = again(of_row[known], self._tracks[known], self._counted[known])
+        if not found.any():
+            return found
+        # Failures without a trajectory, in groups in which trajectories came again.
+        lacking = self._judged & (self._tracks < 0) & ~self._counted
+        rows = np.flatnonzero(self._judged & np.isin(wider, np.intersect1d(wider[found], wider[lacking])))
+        ends = np.where(self._tracks < 0, -1 - self._frame.column("status").codes, self._tracks)[rows]
+        if len(rows):
+            settings = self._settings[rows]
+            unlike = again(wider[rows], settings) & ~again(wider[rows], settings, ends)
+            steady = ~np.isin(wider[rows], wider[rows][unlike])
+            found[rows] |= steady & lacking[rows] & again(of_row[rows], settings, ends)
+        return found
 
 
 def where_equal(frame: Frame, name: str, value: Any) -> Mask:
@@ -419,39 +586,46 @@ def _cells(groups: Groups, metrics: Sequence[str], outcomes: Outcomes) -> list[C
     codes = status.codes.astype(np.intp)
     counted = counting(frame, outcomes)
     coverage = covered(frame)
-    trajectory = frame.column("trajectory.sha256")
-    same = [False] * places.count
-    if not trajectory.kind.is_numeric:
-        same = places.agree(trajectory.codes.astype(np.intp), counted).tolist()
-    shown = [_figures(frame, places, name, counted=counted, outcomes=outcomes, same=same) for name in metrics]
+    once = ~Copies(frame, outcomes).among(groups.of_row)
+    results = counted & once if any(map(follows_trajectory, metrics)) else counted
+    words, faults = _findings(frame)
+    faulty = places.tallies([" ".join(one) for one in words], faults, faults >= 0)
+    reading = places.counts(holds_reader(frame, metrics)) > 0
+    late = places.counts(falls_behind(frame, metrics)) > 0
+    shown = [_figures(frame, places, name, counted=counted, once=once, outcomes=outcomes) for name in metrics]
     lists = zip(
         groups.keys,
         places.counts(np.ones(len(frame), dtype=bool)).tolist(),
-        places.counts(counted).tolist(),
+        places.counts(results).tolist(),
+        places.counts(counted & ~results).tolist(),
         places.tallies(status.values, codes, ~counted),
         places.tallies(status.values, codes, counted),
-        places.numbers(coverage, ~np.isnan(coverage)).summaries(),
+        places.numbers(coverage, once).summaries(),
         zip(*shown, strict=True) if shown else [()] * places.count,
-        same,
+        faulty,
+        reading.tolist(),
+        late.tolist(),
         strict=True,
     )
     found = []
-    for keys, runs, n, failures, untracked, covering, row, deterministic in lists:
+    for keys, runs, n, copies, failures, untracked, covering, row, wrong, reader, behind in lists:
         untracked.pop(Outcome.TRACKED.value, None)
         by_name = dict(zip(metrics, row, strict=True))
-        found.append(Cell(keys, runs, n, failures, untracked, covering, by_name, deterministic))
+        known = tuple(sorted({code for codes_ in wrong for code in codes_.split()}))
+        counts = (runs, n, copies, failures, untracked, covering)
+        found.append(Cell(keys, *counts, by_name, known, reader, behind))
     return found
 
 
 def _figures(
-    frame: Frame, places: Places, name: str, *, counted: Mask, outcomes: Outcomes, same: Sequence[bool]
+    frame: Frame, places: Places, name: str, *, counted: Mask, once: Mask, outcomes: Outcomes
 ) -> list[Figure]:
-    inside = counted & sound(frame, name, outcomes)
+    meant = once if follows_trajectory(name) else np.ones_like(once)
+    inside = counted & meant & sound(frame, name, outcomes)
     numbers = places.numbers(frame.column(name).floats(), inside)
     if not is_error(name):
         return figures(numbers)
-    single = same if follows_trajectory(name) else [False] * len(same)
-    return figures(numbers, places.counts(worst(frame, name, outcomes)), single, measure_of(name).sign)
+    return figures(numbers, places.counts(worst(frame, name, outcomes) & meant), measure_of(name).sign)
 
 
 def tally(words: Sequence[str], codes: npt.NDArray[np.int32]) -> dict[str, int]:

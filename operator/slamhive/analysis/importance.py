@@ -13,7 +13,7 @@ a search chose by their result are left out, as they are no fair picture.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
@@ -21,15 +21,18 @@ import numpy as np
 
 from slamhive.analysis.grouping import (
     SUBJECT,
+    Copies,
     Groups,
     Outcomes,
     apart,
+    copy_notes,
     counting,
     disturbance_notes,
     sound,
     varying,
     worst,
 )
+from slamhive.analysis.measures import follows_trajectory
 from slamhive.analysis.statistics import rank_correlation
 
 if TYPE_CHECKING:
@@ -80,7 +83,8 @@ class Influences:
 
     Attributes:
         keys: the subject.
-        runs, n: runs, and those with a figure that counts.
+        runs, n: runs, and different results of those with a figure that counts.
+        copies: runs that repeat a result of their setting.
         influences: the strongest first.
         interactions: of the strongest settings, the strongest first.
         unexplained: share that no shown setting and interaction explains: other ones and repetition.
@@ -89,6 +93,7 @@ class Influences:
     keys: dict[str, Any]
     runs: int
     n: int
+    copies: int
     influences: list[Influence]
     interactions: list[Interaction]
     unexplained: float
@@ -109,20 +114,28 @@ def importance(
     names = [name for name in varying(frame) if not name.startswith("dataset.")][:MAX_PARAMETERS]
     groups = Groups(frame, [*facets, *SUBJECT])
     counted = counting(frame, Outcomes.TRACKED) & sound(frame, metric)
+    copies = np.zeros(len(frame), dtype=bool)
+    if follows_trajectory(metric):
+        # Equal results of one setting are one; of two settings they say that it doesn't matter.
+        settings = Groups(frame, [*groups.names, *names])
+        copies = Copies(frame, Outcomes.TRACKED).among(settings.of_row, groups.of_row)
     numbers = frame.column(metric).floats()
     logarithms = np.full(len(frame), np.nan)
-    positive = counted & (numbers > 0)
+    positive = counted & (numbers > 0) & ~copies
     logarithms[positive] = np.log(numbers[positive])
-    failed = worst(frame, metric, Outcomes.TRACKED)
+    failed = worst(frame, metric, Outcomes.TRACKED) & ~copies
+    repeating = counted & copies
     subjects: list[Influences] = []
     small = 0
     for rows, keys in zip(groups.members(), groups.keys, strict=True):
         if int((~np.isnan(logarithms[rows])).sum()) < LEAST_RUNS:
             small += 1
         elif len(subjects) < MAX_SUBJECTS:
-            subjects.append(_subject(frame.select(rows), keys, names, logarithms[rows], failed[rows]))
+            found = _subject(frame.select(rows), keys, names, logarithms[rows], failed[rows])
+            subjects.append(replace(found, copies=int(np.count_nonzero(repeating[rows]))))
     if small:
-        notes.append(f"{small} subjects with fewer than {LEAST_RUNS} tracked runs are left out")
+        notes.append(f"{small} subjects with fewer than {LEAST_RUNS} results of tracked runs are left out")
+    notes += copy_notes(int(np.count_nonzero(repeating)), [metric])
     return subjects, [*notes, *disturbance_notes(frame, [metric])]
 
 
@@ -130,7 +143,7 @@ def _without(frame: Frame, sweeps: Collection[str]) -> tuple[Frame, list[str]]:
     column = frame.column("sweep")
     chosen = [code for code, name in enumerate(column.values) if name in set(sweeps)]
     left_out = np.isin(column.codes, chosen) if chosen else np.zeros(len(frame), dtype=bool)
-    count = int(left_out.sum())
+    count = frame.count_runs(left_out)
     if not count:
         return frame, []
     return frame.select(~left_out), [f"{count} runs of adaptive searches are left out"]
@@ -173,7 +186,7 @@ def _subject(
     interactions.sort(key=lambda interaction: -interaction.variance)
     told = sum(shares.values()) + sum(interaction.variance for interaction in interactions)
     return Influences(
-        keys, len(inside), len(values), influences, interactions[:MAX_INTERACTIONS], max(0.0, 1.0 - told)
+        keys, len(inside), len(values), 0, influences, interactions[:MAX_INTERACTIONS], max(0.0, 1.0 - told)
     )
 
 

@@ -9,7 +9,8 @@ datasets are drawn first, then repetitions within each (Field and Welsh 2007).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import math
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +24,6 @@ from slamhive.analysis.boards import (
     scaled_ranks,
 )
 from slamhive.analysis.grouping import Outcomes
-from slamhive.analysis.measures import follows_trajectory
 from slamhive.analysis.statistics import (
     Interval,
     Summary,
@@ -45,6 +45,8 @@ DRAWS = 1000
 MAX_COMPETITORS = 500
 """Rows of a table that a page can still show."""
 _SEED = 20230529
+_MOST_NAMES = 3
+_UNKNOWN = Interval(math.nan, math.nan, "none: a single result")
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,8 @@ class Standing:
 
     Attributes:
         dataset: its name.
-        runs, n: runs, and those that count.
+        runs, n: runs, and different results of those that count.
+        copies: runs that count and repeat a result.
         failures: runs that don't, by what became of them.
         median: of the figures, failed runs last; infinite, below 0 where large is good, when it is a failed
             one, NaN where none has a rank.
@@ -65,6 +68,7 @@ class Standing:
     dataset: Any
     runs: int
     n: int
+    copies: int
     failures: dict[str, int]
     median: float
     rank: float
@@ -78,12 +82,13 @@ class Entry:
 
     Attributes:
         keys: what it is.
-        rank: its place in the order of ``score``, from 1; equal ones share the mean.
-        rank_interval: where its place lies with 95 % confidence.
+        rank: its place in the order of ``score``, from 1; equal ones share the mean. NaN for who never
+            succeeded: such a one has no score either, and comes after all others.
+        rank_interval: where its place lies with 95 % confidence; NaN of a single result, which can't tell.
         score: mean over its datasets of its rank there, scaled to 0 (best of all) … 1 (last of all).
         ratio: geometric mean over datasets of its median over the best median there, where large is good of
             the best over it; infinite where a median is a failed run.
-        ratio_interval: where that lies with 95 % confidence.
+        ratio_interval: where that lies with 95 % confidence; NaN of a single result.
         standings: by dataset.
     """
 
@@ -102,8 +107,29 @@ class Entry:
 
     @property
     def n(self) -> int:
-        """Number of its runs with a figure that counts."""
+        """Number of different results among its runs that count."""
         return sum(standing.n for standing in self.standings)
+
+    @property
+    def copies(self) -> int:
+        """Number of its runs that count and repeat a result."""
+        return sum(standing.copies for standing in self.standings)
+
+    @property
+    def failed(self) -> int:
+        """Number of its runs that don't count."""
+        return sum(sum(standing.failures.values()) for standing in self.standings)
+
+    @property
+    def unranked(self) -> str:
+        """Reason in words for having no rank; empty where it has one."""
+        if not np.isnan(self.rank):
+            return ""
+        return "never succeeded" if any(map(np.isinf, self._medians)) else "nothing measured"
+
+    @property
+    def _medians(self) -> list[float]:
+        return [standing.median for standing in self.standings]
 
 
 @dataclass(frozen=True)
@@ -113,7 +139,7 @@ class Board:
     Attributes:
         facets: the values that all runs of the board share, of columns that vary between boards.
         datasets: names of the datasets.
-        entries: the best first.
+        entries: the best first, those without a rank last.
     """
 
     facets: dict[str, Any]
@@ -129,13 +155,24 @@ class Leaderboard:
         metric: what is ranked by.
         by: columns that tell competitors apart.
         boards: those with most runs first.
+        pooled: settings that rows are over, with the number of their values.
         notes: sentences on what is pooled.
     """
 
     metric: str
     by: tuple[str, ...]
     boards: list[Board]
+    pooled: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = field(default=())
+
+    @property
+    def pooling(self) -> str:
+        """Sentence on the settings that each row is over; empty where there are none."""
+        named = list(self.pooled)[:_MOST_NAMES]
+        told = [f"{self.pooled[name]} values of {name}" for name in named]
+        told += [f"{len(self.pooled) - len(named)} further settings"] if len(self.pooled) > len(named) else []
+        apart = ", ".join([*self.by, *named])
+        return f"Each row is over {', '.join(told)}: by {apart} tells them apart." if told else ""
 
 
 def leaderboard(
@@ -164,26 +201,30 @@ def leaderboard(
             f"leaderboard by {', '.join(by)}: {most} competitors on one board, at most {MAX_COMPETITORS} can "
             "be ranked; fewer columns in by, or a condition on the runs, leave fewer"
         )
-    return Leaderboard(metric, tuple(by), [_board(grid, draws) for grid in found.grids], found.notes)
+    boards = [_board(grid, draws) for grid in found.grids]
+    return Leaderboard(metric, tuple(by), boards, found.pooled, found.notes)
 
 
 def _board(grid: Grid, draws: int) -> Board:
-    scores, ratios = mean_ranks(grid.medians), np.exp(mean_of_known(_log_ratios(grid.medians.T, grid.sign).T))
+    scores, ratios = mean_ranks(grid.rated), np.exp(mean_of_known(_log_ratios(grid.rated.T, grid.sign).T))
+    # Of whom no median run came through is not as good as the best, though all others failed too.
+    ratios[np.isinf(grid.medians).any(axis=1) & ~np.isfinite(grid.rated).any(axis=1)] = np.inf
     drawn_ranks, drawn_ratios = _bootstrap(grid, draws)
     # Scores that differ by rounding alone are equal.
-    ranks, within = ranks_of_known(np.round(scores, 12)), ranks_of_known(grid.medians.T).T
+    ranks, within = ranks_of_known(np.round(scores, 12)), ranks_of_known(grid.rated.T).T
     rank_intervals, ratio_intervals = percentiles(drawn_ranks.T), percentiles(drawn_ratios.T)
     standings: list[list[Standing]] = [[] for _ in grid.competitors]
     for number, standing in _standings(grid, within):
         standings[number].append(standing)
+    several = [sum(one.n + sum(one.failures.values()) for one in mine) > 1 for mine in standings]
     entries = [
         Entry(
             keys=key,
             rank=float(ranks[number]),
-            rank_interval=rank_intervals[number],
+            rank_interval=rank_intervals[number] if several[number] else _UNKNOWN,
             score=float(scores[number]),
             ratio=float(ratios[number]),
-            ratio_interval=ratio_intervals[number],
+            ratio_interval=ratio_intervals[number] if several[number] else _UNKNOWN,
             standings=standings[number],
         )
         for number, key in enumerate(grid.competitors)
@@ -204,7 +245,7 @@ def _bootstrap(grid: Grid, draws: int) -> tuple[Floats, Floats]:
         drawn = np.full((count, len(drawing)), np.nan)
         for group in np.flatnonzero(grid.at[:, 1] == place).tolist():
             ordered = grid.ranked(group)
-            if len(ordered):
+            if len(ordered) and grid.contends[grid.at[group, 0]]:
                 drawn[grid.at[group, 0]] = resampled_medians(ordered, len(drawing), generator)
         medians = np.ascontiguousarray(drawn.T)
         weight = times[drawing, None] * ~np.isnan(medians)
@@ -213,38 +254,35 @@ def _bootstrap(grid: Grid, draws: int) -> tuple[Floats, Floats]:
         weights[drawing] += weight
     with np.errstate(invalid="ignore", over="ignore"):
         scores, ratios = scores / weights, np.exp(logs / weights)
-    return average_ranks(np.nan_to_num(scores, nan=1.0)), ratios
+    ranks = average_ranks(np.where(grid.contends, np.nan_to_num(scores, nan=1.0), np.inf))
+    return np.where(grid.contends, ranks, np.nan), ratios
 
 
 def _standings(grid: Grid, ranks: Floats) -> Iterator[tuple[int, Standing]]:
     """Go through the competitors' standings, dataset by dataset, each with the competitor's number."""
     places = grid.places
-    trajectory = grid.frame.column("trajectory.sha256")
-    same = [False] * places.count
-    if follows_trajectory(grid.metric) and not trajectory.kind.is_numeric:
-        same = places.agree(trajectory.codes.astype(np.intp), grid.counted).tolist()
     lists = zip(
         grid.at.tolist(),
         places.counts(np.ones(len(grid.frame), dtype=bool)).tolist(),
-        places.counts(grid.counted).tolist(),
+        places.counts(grid.counted & grid.once).tolist(),
+        places.counts(grid.counted & ~grid.once).tolist(),
         grid.failures(),
         grid.figures.summaries(),
-        same,
         grid.mean_coverages(),
         strict=True,
     )
-    for (number, place), runs, n, failures, summary, single, coverage in lists:
+    for (number, place), runs, n, copies, failures, summary, coverage in lists:
         yield (
             number,
             Standing(
                 dataset=grid.datasets[place],
                 runs=runs,
                 n=n,
+                copies=copies,
                 failures=failures,
                 median=grid.sign * float(grid.medians[number, place]),
                 rank=float(ranks[number, place]),
-                # Where all runs that count are one and the same result there is no spread.
-                summary=replace(summary, std=None) if single and summary is not None else summary,
+                summary=summary,
                 coverage=coverage,
             ),
         )

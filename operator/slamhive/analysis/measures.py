@@ -15,10 +15,14 @@ from enum import StrEnum
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
+from slamhive.model.sensors import Role
 from slamhive_eval.statistics import STATISTICS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+CAUSAL = "beside.online."
+"""Beginning of the names of figures of the poses as they were first published."""
 
 CONFIGURATION = ("parameters.", "input.", "dataset.attributes.", "resources.")
 """Beginnings of the names of settings."""
@@ -46,6 +50,9 @@ class Measure:
         is_error: whether it is measured against the ground truth: an error, or if large is good an accuracy.
             A run that failed is worse than any number, and runs with the same trajectory have the same one.
         short: its name in the head of a table, where that is shorter.
+        meaning: of its numbers, for the line beneath a table; ``{aligned}``, ``{over}`` and ``{reader}`` are
+            what holds in that table's rows, with a space or comma in front. In the table ``{statistic}`` is
+            that of an error.
     """
 
     name: str
@@ -54,6 +61,7 @@ class Measure:
     better: Better = Better.NONE
     is_error: bool = False
     short: str = ""
+    meaning: str = ""
 
     @property
     def sign(self) -> float:
@@ -61,8 +69,38 @@ class Measure:
         return -1.0 if self.better is Better.HIGHER else 1.0
 
 
+_PERTURBATIONS = (
+    ("lidar.rangeNoise", "range noise", "m"),
+    ("lidar.dropPoints", "share of points dropped", ""),
+    ("lidar.sector", "sector without points", "°"),
+    ("images.blur", "motion blur", "px"),
+    ("images.noise", "image noise", "of 255"),
+    ("images.gamma", "gamma", ""),
+    ("images.exposureStep", "exposure step", "stops"),
+    ("images.jpegQuality", "JPEG quality", ""),
+    ("images.dropFrames", "share of frames dropped", ""),
+    ("images.duplicateFrames", "share of frames duplicated", ""),
+    ("images.occlusion", "share of image covered", ""),
+    ("imu.accelerometerBias", "accelerometer bias", "m/s²"),
+    ("imu.gyroscopeBias", "gyroscope bias", "rad/s"),
+    ("imu.accelerometerNoise", "accelerometer noise", "m/s²"),
+    ("imu.gyroscopeNoise", "gyroscope noise", "rad/s"),
+    ("imu.accelerometerRange", "accelerometer range", "m/s²"),
+    ("imu.gyroscopeRange", "gyroscope range", "rad/s"),
+    ("imu.rate", "IMU rate", "Hz"),
+    *((f"timeOffset.{role}", f"time offset of {role}", "s") for role in Role),
+    *((f"drift.{role}", f"clock drift of {role}", "s/s") for role in Role),
+    *((f"jitter.{role}", f"stamp jitter of {role}", "s") for role in Role),
+    *((f"rotation.{role}", f"told rotation of {role}", "°") for role in Role),
+    *((f"translation.{role}", f"told translation of {role}", "m") for role in Role),
+)
+"""Perturbations below ``input.perturb``: column, text, unit."""
+
 _LOWER, _HIGHER = Better.LOWER, Better.HIGHER
 _error = partial(Measure, better=_LOWER, is_error=True)
+_POSITIONS, _TURNS = "{statistic} of position errors{aligned}", "{statistic} of rotation errors{aligned}"
+_STEPS, _STEP_TURNS = "{statistic} of translation errors{over}", "{statistic} of rotation errors{over}"
+_RELATIONS = "{statistic} of errors over the given relative poses, nothing aligned"
 _TABLE = (
     Measure("algorithm", "algorithm"),
     Measure("algorithm.version", "version of the algorithm", short="algorithm.version"),
@@ -73,23 +111,25 @@ _TABLE = (
     Measure("evaluation", "evaluation"),
     Measure("alignment", "alignment"),
     Measure("settings", "evaluation settings", short="settings"),
+    Measure("evaluationVersion", "version of the evaluation", short="evaluationVersion"),
     Measure("outcome", "outcome"),
     Measure("status", "outcome or reason", short="status"),
     # What the evaluator finds.
-    Measure("coverage", "coverage", "", _HIGHER),
+    Measure("coverage", "coverage", "", _HIGHER, meaning="share of the true path that has poses"),
     Measure("scale", "scale"),
     Measure("poses"),
     Measure("referencePoses"),
     Measure("estimatePoses"),
+    Measure("nanRows", "rows of NaN", "", _LOWER),
     Measure("pathLength", "", "m"),
     Measure("coveredLength", "", "m"),
-    _error("ate.*", "ATE", "m"),
-    _error("ate.rmse", "ATE RMSE", "m", short="ATE"),
+    _error("ate.*", "ATE", "m", meaning=_POSITIONS),
+    _error("ate.rmse", "ATE RMSE", "m", short="ATE", meaning=_POSITIONS),
     _error("ate.extended", "extended ATE RMSE", "m", short="extended ATE"),
-    _error("ateRotationDeg.*", "ATE of rotation", "°"),
-    _error("rpe[].*", "RPE{1}", "m"),
-    _error("rpe[0].rmse", "RPE RMSE", "m", short="RPE"),
-    _error("rpe[].rotationDeg.*", "RPE{1} of rotation", "°"),
+    _error("ateRotationDeg.*", "ATE of rotation", "°", meaning=_TURNS),
+    _error("rpe[].*", "RPE{1}", "m", meaning=_STEPS),
+    _error("rpe[0].rmse", "RPE RMSE", "m", short="RPE", meaning=_STEPS),
+    _error("rpe[].rotationDeg.*", "RPE{1} of rotation", "°", meaning=_STEP_TURNS),
     *(Measure(f"rpe[].{name}") for name in ("delta", "relTolerance", "count")),
     Measure("clock.offsetSeconds", "", "s"),
     Measure("clock.origin", "", "s"),
@@ -112,7 +152,9 @@ _TABLE = (
     Measure("points.longestSpacingSeconds", "longest time between control points", "s"),
     Measure("points.rmseStandardError", "standard error of the RMSE at control points", "m"),
     _error("relations.translation.*", "error over relations", "m"),
-    _error("relations.translation.mean", "error over relations mean", "m", short="relations"),
+    _error(
+        "relations.translation.mean", "error over relations mean", "m", short="relations", meaning=_RELATIONS
+    ),
     _error("relations.rotationDeg.*", "error over relations of rotation", "°"),
     _error("relations.rotationDeg.mean", "error over relations of rotation mean", "°", short="relations"),
     _error("relations.byTime[].translation.*", "error over relations {0}", "m"),
@@ -129,13 +171,28 @@ _TABLE = (
     Measure("input.resolution", "resolution"),
     Measure("input.start", "start", "s"),
     Measure("input.duration", "duration", "s"),
+    *(Measure(f"input.perturb.{name}", text, unit) for name, text, unit in _PERTURBATIONS),
     Measure("prepared.frameRate", "prepared frame rate", "Hz"),
     Measure("prepared.recordedFrameRate", "recorded frame rate", "Hz"),
-    Measure("usage.cpu.meanCores", "mean CPU load", "cores", _LOWER, short="CPU"),
+    Measure(
+        "usage.cpu.meanCores",
+        "mean CPU load",
+        "cores",
+        _LOWER,
+        short="CPU",
+        meaning="cores busy on average{reader}",
+    ),
     Measure("usage.cpu.maxCores", "maximum CPU load", "cores", _LOWER, short="CPU max"),
-    Measure("usage.cpu.seconds", "CPU time", "s", _LOWER),
+    Measure("usage.cpu.seconds", "CPU time", "s", _LOWER, meaning="CPU seconds of a run{reader}"),
     Measure("usage.cpu.totalSeconds", "CPU time with the reader", "s", _LOWER, short="CPU time, total"),
-    Measure("usage.cpu.secondsPerDataSecond", "CPU time per second of data", "s/s", _LOWER, short="CPU"),
+    Measure(
+        "usage.cpu.secondsPerDataSecond",
+        "CPU time per second of data",
+        "s/s",
+        _LOWER,
+        short="CPU",
+        meaning="CPU seconds a second of recording{reader}",
+    ),
     Measure("usage.readerCpuSeconds", "CPU time of the reader", "s", _LOWER, short="reader"),
     Measure("usage.readerShare", "share of the reader", "", _LOWER),
     Measure("usage.wallSeconds", "wall time", "s", _LOWER),
@@ -151,6 +208,28 @@ _TABLE = (
     Measure("frames.offered", "frames offered"),
     Measure("frames.processed", "frames processed", "", _HIGHER),
     Measure("frames.dropped", "frames dropped", "", _LOWER),
+    # What a player notes of a node.
+    Measure("metrics.latencySeconds.mean", "mean latency", "s", _LOWER),
+    Measure(
+        "metrics.latencySeconds.median",
+        "latency p50",
+        "s",
+        _LOWER,
+        meaning="time from a frame to its first pose, of half of the frames at most (p95: of 95 %)",
+    ),
+    Measure("metrics.latencySeconds.p95", "latency p95", "s", _LOWER),
+    Measure("metrics.latencySeconds.p99", "latency p99", "s", _LOWER),
+    Measure("metrics.latencySeconds.max", "latency max", "s", _LOWER),
+    Measure(
+        "metrics.realTimeFactor",
+        "real-time factor",
+        "",
+        _LOWER,
+        meaning="time that a node took over the time it had; clearly above 1 it was behind",
+    ),
+    Measure("metrics.playSeconds", "time of playing", "s"),
+    Measure("metrics.posesPublished", "poses published"),
+    Measure("lateSeconds", "poses late by up to", "s", _LOWER),
     Measure("trajectory.poses", "poses"),
     Measure("trajectory.durationSeconds", "duration of the trajectory", "s"),
     Measure("provenance.cpuModel", "processor"),
@@ -159,6 +238,9 @@ _BY_NAME = {measure.name: measure for measure in _TABLE}
 
 ERRORS = frozenset(re.split(r"[.\[]", measure.name)[0] for measure in _TABLE if measure.is_error)
 """Fields of a result that hold errors."""
+
+KEPT_BESIDE = ERRORS | {"scale", "estimatePoses", "poses", "points"}
+"""Fields of a result that are kept of a trajectory beside the run's own, with its outcome and coverage."""
 
 _STATISTICS = {
     "rmse": "RMSE",
@@ -177,6 +259,10 @@ BESIDE = re.compile(r"beside\.(\w+)\.(.+)")
 @lru_cache(maxsize=4096)
 def measure_of(column: str) -> Measure:
     """Return the measure of a column; of one without a row, its name and the unit that its name tells."""
+    if column.startswith(CAUSAL) and (found := _listed(column.removeprefix(CAUSAL))):
+        causal = found.meaning and f"{found.meaning}, of the poses as first published"
+        text, short = f"{found.text}, causal", f"{found.short}, causal"
+        return replace(found, name=column, text=text, short=short, meaning=causal)
     beside = BESIDE.fullmatch(column)
     if beside and (found := _listed(beside[2])):
         text = f"{found.text} of {beside[1]}"
@@ -200,7 +286,9 @@ def _listed(column: str) -> Measure | None:
         return None
     number = int(match[1]) if (match := _NUMBER.search(column)) else 0
     text = text.format(number, f" {number + 1}" if number else "") or column
-    return replace(found, name=column, text=text, unit=unit, short=found.short or text)
+    named = _STATISTICS.get(statistic, statistic)
+    meaning = found.meaning.replace("{statistic}", named)
+    return replace(found, name=column, text=text, unit=unit, short=found.short or text, meaning=meaning)
 
 
 def is_error(column: str) -> bool:

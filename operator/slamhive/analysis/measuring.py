@@ -33,10 +33,10 @@ from slamhive_eval import (
     number_poses,
     read_tum,
 )
-from slamhive_eval.evaluation import NO_POSE
+from slamhive_eval.evaluation import NO_POSE, VERSION
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     import numpy.typing as npt
@@ -47,6 +47,9 @@ if TYPE_CHECKING:
 
 SETTINGS_KEY = "settings"
 """Key of a result's values under which the hash of its settings stands."""
+
+VERSION_KEY = "evaluationVersion"
+"""Key of a result's values under which the version of the evaluator stands; see `version_of`."""
 
 RELATIONS = "relations"
 """Name of the evaluation against relative poses, unless an Evaluation names it."""
@@ -136,6 +139,27 @@ def intended_evaluations(
 def settings_hash(settings: EvaluationSettings) -> str:
     """Return a hash that tells apart settings that may give different results."""
     return digest(normalize(EvaluationSettings.as_json(settings)))[:16]
+
+
+def version_of(values: Mapping[str, Any]) -> int:
+    """Return the version of the evaluator that a result's values are of: the first one named none."""
+    version = values.get(VERSION_KEY)
+    return version if isinstance(version, int) else 1
+
+
+def is_current(values: Mapping[str, Any], settings: str) -> bool:
+    """Tell whether measuring again with settings of a hash would give the values that a result has."""
+    return values.get(SETTINGS_KEY) == settings and version_of(values) >= VERSION
+
+
+def outdated_note(values: Mapping[str, Any]) -> str | None:
+    """Return a sentence on a result of an earlier version of our evaluator; None for any other."""
+    if SETTINGS_KEY not in values or version_of(values) >= VERSION:
+        return None
+    return (
+        f"measured by version {version_of(values)} of the evaluation, {VERSION} is current: "
+        "slamhive results measure brings it up to date"
+    )
 
 
 def measure(
@@ -336,4 +360,4 @@ def _in_one_map(
 
 
 def _tagged(values: dict[str, Any], settings: EvaluationSettings) -> dict[str, Any]:
-    return {**values, SETTINGS_KEY: settings_hash(settings)}
+    return {**values, SETTINGS_KEY: settings_hash(settings), VERSION_KEY: VERSION}

@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Self
 
-from slamhive.analysis.measures import CONFIGURATION, measure_of
+from slamhive.analysis.measures import CAUSAL, CONFIGURATION, measure_of
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Collection, Container, Iterator, Mapping
 
     from slamhive.analysis.measures import Measure
 
@@ -65,7 +65,7 @@ def with_unit(text: str, unit: str) -> str:
     return f"{text} [{unit}]" if unit else text
 
 
-def label_of(column: str, unit: str | None = None, among: Iterable[str] = ()) -> str:
+def label_of(column: str, unit: str | None = None, among: Collection[str] = ()) -> str:
     """Return the name of an axis.
 
     Args:
@@ -77,14 +77,21 @@ def label_of(column: str, unit: str | None = None, among: Iterable[str] = ()) ->
     return with_unit(_own(column, name.text, among), name.unit if unit is None else unit)
 
 
-def title_of(column: str, unit: str | None = None, among: Iterable[str] = ()) -> str:
+def title_of(column: str, unit: str | None = None, among: Collection[str] = ()) -> str:
     """Return the head of a table's column; arguments as for ``label_of``."""
     name = name_of(column)
     return with_unit(_own(column, name.short, among), name.unit if unit is None else unit)
 
 
-def _own(column: str, text: str, among: Iterable[str]) -> str:
+def named_final(column: str, text: str, among: Container[str]) -> str:
+    """Return a name, that of an error beside that of the causal trajectory as the final one."""
+    return f"{text}, final" if f"{CAUSAL}{column}" in among else text
+
+
+def _own(column: str, text: str, among: Collection[str]) -> str:
     """Return a setting's own name, without what it is a setting of where that is clear."""
+    if (final := named_final(column, text, among)) != text:
+        return final
     match = _SETTINGS.fullmatch(column)
     if text != column or match is None or sum(other.endswith(f".{match[2]}") for other in among) > 1:
         return text
@@ -137,13 +144,21 @@ class Metric:
     @property
     def title(self) -> str:
         """Return the column's name for people, with the unit."""
+        return self.title_among(())
+
+    def title_among(self, names: Container[str]) -> str:
+        """Return the same, as it is told apart from other columns beside it."""
         name = name_of(self.column)
-        return with_unit(name.short, self.unit or name.unit)
+        return with_unit(named_final(self.column, name.short, names), self.unit or name.unit)
 
     @property
     def label(self) -> str:
         """Return the name of an axis along which the numbers are drawn, with the unit."""
-        return label_of(self.column, self.unit or None)
+        return self.label_among(())
+
+    def label_among(self, names: Collection[str]) -> str:
+        """Return the same, as it is told apart from other axes."""
+        return label_of(self.column, self.unit or None, names)
 
     def show(self, value: float | None) -> str:
         """Return a stored number as it is shown, a dash for none."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from slamhive.analysis.boards import COMPETITORS, prepare
 from slamhive.analysis.grouping import Outcomes, sound
-from slamhive.analysis.measures import measure_of
+from slamhive.analysis.measures import follows_trajectory, measure_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,7 +31,8 @@ class Spot:
             nothing is known.
         x_range, y_range: smallest and largest of the runs that count.
         front: whether no other competitor is at least as good in both and better in one.
-        runs, n: runs, and those that count.
+        runs, n: runs, and different results of those that count.
+        copies: runs that count and repeat a result.
         failures: runs that don't, by what became of them.
         coverage: mean over the evaluated runs, with 0 for those that failed of themselves.
     """
@@ -44,6 +45,7 @@ class Spot:
     front: bool
     runs: int
     n: int
+    copies: int
     failures: dict[str, int]
     coverage: float
 
@@ -79,6 +81,8 @@ def pareto(
 def _front(grid: Grid, x: str) -> Front:
     # What a run costs is known even where it failed, but then it says nothing of the algorithm.
     inside = grid.counted & ~np.isnan(grid.numbers) & sound(grid.frame, x)
+    if follows_trajectory(x):
+        inside &= grid.once
     costs = grid.places.numbers(grid.frame.column(x).floats(), inside)
     across = np.array([np.nan if median is None else median for median in costs.medians()])
     up = grid.medians[grid.at[:, 0], grid.at[:, 1]]
@@ -88,7 +92,8 @@ def _front(grid: Grid, x: str) -> Front:
         zip(across.tolist(), (grid.sign * up).tolist(), nondominated(way * across, up).tolist(), strict=True),
         *(zip(*map(np.ndarray.tolist, found.ends()), strict=True) for found in (costs, grid.figures)),
         grid.places.counts(np.ones(len(grid.frame), dtype=bool)).tolist(),
-        grid.places.counts(grid.counted).tolist(),
+        grid.places.counts(grid.counted & grid.once).tolist(),
+        grid.places.counts(grid.counted & ~grid.once).tolist(),
         grid.failures(),
         grid.mean_coverages(),
         strict=True,
@@ -103,10 +108,11 @@ def _front(grid: Grid, x: str) -> Front:
             front=front,
             runs=runs,
             n=n,
+            copies=copies,
             failures=failures,
             coverage=np.nan if coverage is None else coverage,
         )
-        for number, (cost, error, front), x_range, y_range, runs, n, failures, coverage in lists
+        for number, (cost, error, front), x_range, y_range, runs, n, copies, failures, coverage in lists
     ]
     spots.sort(
         key=lambda spot: (math.isnan(spot.x), 0.0 if math.isnan(spot.x) else way * spot.x, grid.sign * spot.y)

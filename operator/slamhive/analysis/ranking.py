@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slamhive.analysis.cells import Places
-from slamhive.analysis.grouping import counting, ranked_errors, sound, tally, worst
-from slamhive.analysis.measures import measure_of
+from slamhive.analysis.grouping import Copies, counting, ranked_errors, sound, tally, worst
+from slamhive.analysis.measures import follows_trajectory, measure_of
 from slamhive.analysis.statistics import median_of_sorted
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from slamhive.analysis.columns import Floats, Indices, Mask
     from slamhive.analysis.frame import Frame
     from slamhive.analysis.grouping import Groups, Outcomes
@@ -30,6 +32,7 @@ class Ranked:
         runs: all of the group.
         left_out: those that say nothing of the algorithm, by what became of them.
         failures: those that failed, by what became of them.
+        copies: number of those that repeat a result that has its place among the costs already.
     """
 
     costs: Floats
@@ -37,15 +40,16 @@ class Ranked:
     runs: int
     left_out: dict[str, int]
     failures: dict[str, int]
+    copies: int = 0
 
     @property
     def total(self) -> int:
-        """The number of runs that have a rank."""
+        """The number of results that have a rank."""
         return len(self.costs)
 
     @property
     def n(self) -> int:
-        """The number of runs that reached a value."""
+        """The number of results that reached a value."""
         return int(np.isfinite(self.costs).sum())
 
     @property
@@ -55,7 +59,7 @@ class Ranked:
 
     @property
     def shares(self) -> Floats:
-        """Shares of the runs that are as good as each value or better, (n,): failed ones never are."""
+        """Shares of the results that are as good as each value or better, (n,): failed ones never are."""
         return np.arange(1, self.n + 1) / max(self.total, 1)
 
     @property
@@ -95,18 +99,31 @@ class Ranking:
         """Rows that rank behind all of them, (n,)."""
         status = frame.column("status")
         self._words, self._status = status.values, status.codes
+        self._copies = Copies(frame, which) if follows_trajectory(metric) else None
 
     def medians(self, groups: Groups) -> Floats:
         """Return the median cost of each group, failed runs last, (groups,): NaN where no run has a rank."""
         places = Places(groups.order, groups.edges)
-        found = places.numbers(self._costs, self.inside).medians(places.counts(self.failed))
+        once = self._once(groups.of_row)
+        found = places.numbers(self._costs, self.inside & once).medians(places.counts(self.failed & once))
         return np.array([np.nan if median is None else median for median in found])
 
-    def of(self, rows: Indices) -> Ranked:
-        """Return the runs of some rows."""
+    def _once(self, of_row: Indices) -> Mask:
+        if self._copies is None:
+            return np.ones(len(of_row), dtype=bool)
+        return ~self._copies.among(of_row)
+
+    def each(self, groups: Groups) -> Iterator[Ranked]:
+        """Go through the runs of each group."""
+        once = self._once(groups.of_row)
+        for rows in groups.members():
+            yield self._of(rows, once[rows])
+
+    def _of(self, rows: Indices, once: Mask) -> Ranked:
         inside, failed, status = self.inside[rows], self.failed[rows], self._status[rows]
         return Ranked(
-            costs=ranked_errors(self._costs[rows], inside, failed),
+            costs=ranked_errors(self._costs[rows], inside & once, failed & once),
+            copies=int(np.count_nonzero((inside | failed) & ~once)),
             sign=self.sign,
             runs=len(rows),
             left_out=tally(self._words, status[~(inside | failed)]),

@@ -55,7 +55,7 @@ class Repetitions:
         """Summary in a sentence: whether the runs are deterministic, their spread, and failures."""
         parts = []
         if self.cell.deterministic:
-            parts.append(f"deterministic: one result, {self.cell.n} equal runs")
+            parts.append(f"deterministic: one result, {self.cell.n + self.cell.copies} equal runs")
         if self.relative_spread is not None:
             word = "repeatable" if self.relative_spread <= _SAME else "varies"
             parts.append(f"{word}: {100 * self.relative_spread:.2g} % around the mean")
@@ -141,7 +141,7 @@ def suspects(frame: Frame) -> list[Suspect]:
     if not len(inside):
         return []
     numbers = inside.column("scale").floats()
-    facets = [name for name in apart(inside, SUBJECT, ())[1] if name == "evaluation"]
+    facets = [name for name in apart(inside, SUBJECT, ())[1] if name in {"evaluation", "input.pace"}]
     alone = _suspects_by(inside, numbers, [*SUBJECT, *facets])
     known = {(item.keys["algorithm"], item.keys["sensors"]) for item in alone}
     # With few runs a dataset, all datasets together may tell.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from slamhive.analysis.columns import count_distinct, sort_key
+from slamhive.analysis.columns import Column, ColumnKind, count_distinct, sort_key
 from slamhive.analysis.expressions import parse_where
 from slamhive.analysis.grouping import where_equal
 from slamhive.model.errors import InputError, UnknownNameError
@@ -17,7 +17,7 @@ from slamhive.model.results import Phase, Reason
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from slamhive.analysis.columns import Column, Floats, Indices, Mask
+    from slamhive.analysis.columns import Floats, Indices, Mask
     from slamhive.analysis.conditions import Node
     from slamhive.analysis.frame import Frame
 
@@ -26,6 +26,7 @@ T = TypeVar("T")
 UNIQUE = ("id", "evaluation")
 """Columns that every order ends with, so that no two rows are equal in it."""
 
+_VERSION = "evaluationVersion"
 _LEAST_UID = 8
 _UNFINISHED = frozenset(phase.value for phase in Phase if not phase.is_finished)
 _INFRASTRUCTURE = frozenset(reason.value for reason in Reason if reason.is_infrastructure)
@@ -111,12 +112,13 @@ def meeting(frame: Frame, node: Node | None, *, superseded: bool = False, each: 
         superseded: whether results of earlier versions are meant too.
         each: whether runs are meant one by one: those of equal content too, and unfinished ones.
     """
+    frame = _with_versions(frame)
     inside = np.ones(len(frame), dtype=bool) if node is None else node.mask(frame)
     left_out = np.zeros(len(frame), dtype=bool)
     if not superseded:
         left_out = inside & frame.column("superseded").present
         inside = inside & ~left_out
-    old = count_runs(frame, left_out)
+    old = frame.count_runs(left_out)
     notes = []
     if old:
         notes.append(f"{_counted(old)} of earlier versions left out ({_why(frame, left_out)})")
@@ -126,10 +128,10 @@ def meeting(frame: Frame, node: Node | None, *, superseded: bool = False, each: 
     if not each:
         unfinished = _among(frame.column("phase"), _UNFINISHED)
         if unfinished.any():
-            notes.append(f"{_counted(count_runs(frame, unfinished))} not finished yet")
+            notes.append(f"{_counted(frame.count_runs(unfinished))} not finished yet")
             frame = frame.select(~unfinished)
         kept = once(frame)
-        again = count_runs(frame, ~kept)
+        again = frame.count_runs(~kept)
         if again:
             repeat = "repeats" if again == 1 else "repeat"
             notes.append(f"{_counted(again)} {repeat} the content of others: equal content counts once")
@@ -140,16 +142,36 @@ def meeting(frame: Frame, node: Node | None, *, superseded: bool = False, each: 
         notes = [
             f"all {_counted(old)} selected {are} of earlier versions ({why}): ask for superseded results"
         ]
-    return Chosen(frame, tuple(notes), old, again)
+    return Chosen(frame, (*notes, *_outdated_notes(frame)), old, again)
+
+
+def _with_versions(frame: Frame) -> Frame:
+    """Return the rows with the version of the evaluation where a result names none: it is of the first."""
+    version = frame.column(_VERSION)
+    if version.is_empty or not version.kind.is_numeric:  # an evaluator that isn't ours may write anything
+        return frame
+    numbers = np.where(frame.column("outcome").present & ~version.present, 1.0, version.numbers)
+    return frame.replaced({_VERSION: Column.of_numbers(numbers, ColumnKind.INTEGER)})
+
+
+def _outdated_notes(frame: Frame) -> list[str]:
+    """Say how many runs an earlier version measured than others in the same evaluation."""
+    numbers = frame.column(_VERSION).floats()
+    if np.isnan(numbers).all():
+        return []
+    evaluations, names = frame.column("evaluation").factorized()
+    newest = np.zeros(len(names))
+    np.maximum.at(newest, evaluations, np.nan_to_num(numbers))
+    count = frame.count_runs(numbers < newest[evaluations])
+    if not count:
+        return []
+    runs = "1 run was" if count == 1 else f"{count:,} runs were"
+    what = "evaluationVersion tells them apart, slamhive results measure brings them up to date"
+    return [f"{runs} measured by an earlier version of the evaluation: {what}"]
 
 
 def _why_alone(note: str) -> str:
     return note.partition("(")[2].rstrip(")")
-
-
-def count_runs(frame: Frame, mask: Mask) -> int:
-    """Return the number of runs that some rows are of."""
-    return count_distinct(frame.column("id").floats()[mask])
 
 
 def _counted(count: int) -> str:
@@ -165,8 +187,8 @@ def _why(frame: Frame, mask: Mask) -> str:
 def once(frame: Frame) -> Mask:
     """Tell which rows stay when equal content counts once an evaluation and its settings, (n,).
 
-    Of equal ones a measured run stays; then one that the machine and the user let end; then one that was
-    computed and not reused; then the latest.
+    Of equal ones a measured run stays, by the latest version of the evaluation; then one that the machine and
+    the user let end; then one that was computed and not reused; then the latest.
     """
     content = frame.column("provenance.contentHash")
     kept = np.ones(len(frame), dtype=bool)
@@ -187,6 +209,7 @@ def once(frame: Frame) -> Mask:
             -np.where(np.isnan(created), -np.inf, created),
             frame.column("provenance.reusedFrom").present,
             _ended_by_others(frame),
+            -np.nan_to_num(frame.column(_VERSION).floats()),
             ~frame.column("outcome").present,
         )
     )

@@ -21,6 +21,7 @@ from slamhive.analysis.cells import different
 from slamhive.analysis.comparing import LEVEL, signed_differences
 from slamhive.analysis.derived import ALGORITHM_CHANGED, DATASET_CHANGED
 from slamhive.analysis.grouping import (
+    LOAD,
     SUBJECT,
     Groups,
     Outcomes,
@@ -37,7 +38,7 @@ from slamhive.analysis.grouping import (
     varies,
     varying,
 )
-from slamhive.analysis.measures import CONFIGURATION, follows_trajectory, is_error, measure_of
+from slamhive.analysis.measures import CONFIGURATION, Better, follows_trajectory, is_error, measure_of
 from slamhive.analysis.statistics import (
     ENOUGH,
     average_ranks,
@@ -133,8 +134,13 @@ class VersionSetting:
 
     @property
     def ratio(self) -> float:
-        """Median after over median before: infinite or 0 where one failed, 1 where both did."""
-        return float(np.exp(self.sign * _worse([self], self.sign))[0])
+        """Median after over median before: infinite or 0 where one failed, NaN where both did."""
+        return math.nan if self.failed else float(np.exp(self.sign * _worse([self], self.sign))[0])
+
+    @property
+    def failed(self) -> bool:
+        """True if the median run failed before and after: there is nothing to compare."""
+        return math.isinf(self.before.median) and math.isinf(self.after.median)
 
     @property
     def deterministic(self) -> bool:
@@ -170,7 +176,7 @@ class Change:
         unpaired: number of settings that ran with one of them alone.
         ratio: geometric mean of after over before. NaN where failed runs forbid it.
         wins: settings in which after is better, worse, the same; smaller and larger where nobody knows which
-            way is good.
+            way is good. Those whose median run failed before and after are none of these.
         test: what was tested; None where nothing was.
         p: that both are equally good, two-sided.
         p_holm: corrected for the number of earlier versions.
@@ -200,32 +206,45 @@ class Change:
         return bool(self.settings) and all(setting.deterministic for setting in self.settings)
 
     @property
+    def failed(self) -> int:
+        """Number of settings whose median run failed before and after."""
+        return sum(setting.failed for setting in self.settings)
+
+    @property
     def sentence(self) -> str:
         """Result in a sentence: by how much the metric changed, and whether that may be chance."""
         if not self.settings:
             return "no setting has results of both versions: run the current one in a setting of before"
         change = self._told()
-        if self.deterministic:
+        if self.deterministic and any(self.wins):
             return f"deterministic: {change}; each is one result, however often it ran"
         return f"{change}: {self.verdict}" if self.verdict else change
 
     @property
     def verdict(self) -> str:
         """Verdict of the significance test in words; empty where there is nothing to test."""
-        if not self.settings or self.deterministic or self.wins[2] == len(self.settings):
+        if self.deterministic or self.wins[:2] == (0, 0):
             return ""
         return verdict(self.p_holm, self.least_p, " after correction" if self.p_holm != self.p else "")
 
     def _told(self) -> str:
+        failed = "1 setting" if self.failed == 1 else f"{self.failed} settings"
+        if not any(self.wins):
+            return f"failed before and after in {failed}"
+        told = self._told_of_others()
+        return f"{told}; failed before and after in {failed}" if self.failed else told
+
+    def _told_of_others(self) -> str:
+        """Return the change in the settings that didn't fail on both sides, in words."""
         better, worse, same = self.wins
-        count = len(self.settings)
+        count = sum(self.wins)
         settings = "1 setting" if count == 1 else f"{count} settings"
         turned = measure_of(self.metric).sign < 0
         ratio = 1 / self.ratio if turned else self.ratio
         up, down = ("worse", "better")
         if not is_error(self.metric):
             up, down = ("lower", "higher") if turned else ("higher", "lower")
-        if same == count:
+        if not better + worse:
             return f"after is the same in {same} of {settings}"
         if not math.isfinite(ratio):
             return f"after is {up} in {worse} and {down} in {better} of {settings}, some of which failed"
@@ -300,25 +319,33 @@ class _Material:
         self._numbers = self._frame.column(metric).floats()
         self._counted = counting(self._frame, outcomes) & sound(self._frame, metric, outcomes)
         self._counted &= ~np.isnan(self._numbers)
-        self._failed = failing(self._frame, outcomes) | falling_short(self._frame, metric)
+        if _ranks_failures(metric):
+            self._failed = failing(self._frame, outcomes) | falling_short(self._frame, metric)
+        else:
+            self._failed = np.zeros(len(self._frame), dtype=bool)
         trajectory = self._frame.column("trajectory.sha256")
         self._trajectories = np.full(len(self._frame), -1) if trajectory.kind.is_numeric else trajectory.codes
         self._moments = self._latest()
 
-    def _latest(self) -> dict[tuple[Any, Any], tuple[float, float]]:
-        """Return the moment of each version's last run, by (what has it, version), over all of its rows."""
+    def _latest(self) -> dict[tuple[Any, Any], tuple[bool, float, float]]:
+        """Return the moment of each version's last run, by (what has it, version), over all of its rows.
+
+        Before it stands whether the version is a current one: one that an undone edit made so is the latest,
+        though its runs aren't.
+        """
         created = self._frame.column("created").floats()
         moments = zip(
             self._frame.column(self._changed).tolist(),
             self._frame.column(self._name).tolist(),
+            (~self._frame.column("superseded").present).tolist(),
             np.where(np.isnan(created), -np.inf, created).tolist(),
             self._frame.column("id").floats().tolist(),
             strict=True,
         )
-        latest: dict[tuple[Any, Any], tuple[float, float]] = {}
-        for owner, version, moment, number in moments:
-            before = latest.get((owner, version), (-math.inf, -math.inf))
-            latest[owner, version] = max(before, (moment, number))
+        latest: dict[tuple[Any, Any], tuple[bool, float, float]] = {}
+        for owner, version, *moment in moments:
+            last = (moment[0], moment[1], moment[2])
+            latest[owner, version] = max(latest.get((owner, version), last), last)
         return latest
 
     def changes(self) -> list[Change]:
@@ -361,9 +388,10 @@ class _Material:
         # What is always the same within a version but differs between them is part of the change.
         varied = dict.fromkeys([*self._setting, *sorted({*varying(old), *varying(new)})])
         settings, unpaired = self._paired([name for name in varied if name not in keys], before[1], after[1])
-        differences = _worse(settings, self._sign)
+        compared = [setting for setting in settings if not setting.failed]
+        differences = _worse(compared, self._sign)
         signs = signed_differences(differences)
-        test, p, least_p = _tested(settings, signs)
+        test, p, least_p = _tested(compared, signs)
         finite = len(differences) > 0 and bool(np.isfinite(differences).all())
         return Change(
             changed=self._changed,
@@ -437,6 +465,15 @@ class _Material:
             if not sides[0].keys() & sides[1].keys():
                 differences.append(Difference(name, list(sides[0]), list(sides[1])))
         return differences
+
+
+def _ranks_failures(metric: str) -> bool:
+    """Tell whether a failed run is worse than any other by a figure.
+
+    It is by an error or an accuracy. A program that fails at once takes no CPU that would be worse, and of a
+    figure whose good direction nobody knows nothing is.
+    """
+    return not metric.startswith(LOAD) and measure_of(metric).better is not Better.NONE
 
 
 def _hashable(value: Any) -> Any:

@@ -25,13 +25,14 @@ from slamhive.archive.records import (
     result_row,
     run_row,
 )
+from slamhive.archive.remarks import Remarks
 from slamhive.archive.rows import read_rows, read_runs, why
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.leftout import LeftOut, warn_of
 from slamhive.model.results import IntendedEvaluation, Phase, Reason, Result, RunRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 
     from sqlalchemy import ColumnElement, Connection, Engine, Select
 
@@ -57,6 +58,9 @@ FILTERS = (
 
 ORIGIN = ("specHash", "algorithmHash", "environment", "imageID", "datasetSha256", "preparation")
 """Fields of a run's provenance that its content hash is made from."""
+
+REMARKS = ("note", "tags", "noted")
+"""Columns of what people said of a run."""
 
 _CATALOG = {"Algorithm": schema.algorithms, "Dataset": schema.datasets}
 _FINISHED = tuple(phase.value for phase in Phase if phase.is_finished)
@@ -243,6 +247,41 @@ class Archive:
             connection.execute(update(schema.runs).where(runs.uid == uid).values(**row))
 
     @patient
+    def annotate(
+        self, uids: Collection[str], change: Callable[[Remarks], Remarks]
+    ) -> dict[str, tuple[Remarks, Remarks]]:
+        """Change notes and tags of runs, 500 in a transaction; runs that aren't there are no fault.
+
+        Args:
+            uids: the runs'.
+            change: returns of what a run has what it is to have; what says the same is not written.
+
+        Returns:
+            Before and after, by UID, of the runs that are there.
+
+        Raises:
+            InputError: a run can't be read, or ``change`` refuses.
+        """
+        runs, iterator = schema.runs.c, iter(uids)
+        found: dict[str, tuple[Remarks, Remarks]] = {}
+        while batch := list(islice(iterator, BATCH)):
+            with writing(self._engine) as connection:
+                query = select(*(raw(connection, runs[name]) for name in ("uid", *REMARKS)))
+                asked = connection.execute(query.where(runs.uid.in_(batch)).with_for_update())
+                rows = [dict(row) for row in asked.mappings()]
+                (wrong,) = documents.opened(connection, (schema.runs, rows))
+                for row, fault in zip(rows, wrong, strict=True):
+                    if fault is not None:
+                        raise InputError(f"archive {self.location}: run {row['uid']}: {why(fault)}")
+                    before = Remarks.of_row(row)
+                    after = change(before)
+                    found[row["uid"]] = before, after
+                    if not after.says_same(before):
+                        changed = update(schema.runs).where(runs.uid == row["uid"])
+                        connection.execute(changed.values(**after.row))
+        return found
+
+    @patient
     def rename_run(self, record: RunRecord, uid: str) -> None:
         """Write a record in the place of the run of another UID, which thereby is called otherwise.
 
@@ -250,7 +289,7 @@ class Archive:
             record: what is to stand there.
             uid: what the run was called so far.
         """
-        row = run_row(record)
+        row = _without_remarks(record)
         with writing(self._engine) as connection:
             documents.store(connection, ("runs", [row]))
             connection.execute(update(schema.runs).where(schema.runs.c.uid == uid).values(**row))
@@ -258,7 +297,7 @@ class Archive:
     def rewrite_runs(self, records: Iterable[RunRecord]) -> None:
         """Write records in the places of those of their UIDs, 500 in a transaction; results stay."""
         iterator = iter(records)
-        while batch := [run_row(record) for record in islice(iterator, BATCH)]:
+        while batch := [_without_remarks(record) for record in islice(iterator, BATCH)]:
             with writing(self._engine) as connection:
                 documents.store(connection, ("runs", batch))
                 for row in batch:
@@ -346,7 +385,7 @@ class Archive:
         runs, results = schema.runs.c, schema.results.c
         measured = select(func.count()).where(results.run_id == runs.id).scalar_subquery().label("results")
         query = (
-            select(runs.uid, runs.point, runs.phase, runs.reason, measured)
+            select(runs.uid, runs.point, runs.phase, runs.reason, measured, *(runs[name] for name in REMARKS))
             .where(runs.sweep_uid == sweep_uid, runs.phase.in_(_FINISHED))
             .order_by(runs.id)
         )
@@ -359,6 +398,7 @@ class Archive:
                     Phase(row["phase"]),
                     Reason(row["reason"]) if row["reason"] else None,
                     row["results"],
+                    Remarks.of_row(row),
                 ),
             ),
         )
@@ -599,6 +639,13 @@ class Archive:
             return known
         statement = insert_into(self._engine.dialect, table)
         changes = {name: statement.excluded[name] for name in names if name not in key}
+        if "noted" in changes:
+            # Who writes a run again may have read it before somebody put a note on it.
+            later = statement.excluded.noted > table.c.noted
+            for name in REMARKS:
+                changes[name] = case(
+                    (or_(table.c.noted.is_(None), later), changes[name]), else_=table.c[name]
+                )
         if "cluster" in changes:
             # Not all who write know it: `slamhive fetch` may not see what the operator sees.
             changes["cluster"] = func.coalesce(changes["cluster"], table.c.cluster)
@@ -631,6 +678,11 @@ def _cost(row: dict[str, Any]) -> Cost:
         algorithm_hash=origin.get("algorithmHash"),
         dataset_sha256=origin.get("datasetSha256"),
     )
+
+
+def _without_remarks(record: RunRecord) -> dict[str, Any]:
+    """Return a run's columns but for notes and tags: those that are there stay."""
+    return {name: value for name, value in run_row(record).items() if name not in REMARKS}
 
 
 def _may_be_taken_over() -> tuple[ColumnElement[bool], ...]:

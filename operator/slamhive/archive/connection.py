@@ -279,7 +279,8 @@ def wrong_version(url: URL, found: int | None) -> InputError:
         )
     return InputError(
         f"archive {name}: written by an earlier slamhive (schema {found}; this one needs {schema.VERSION}); "
-        "`slamhive archive upgrade` brings it up to date, as the operator of a newer chart does"
+        "`slamhive archive upgrade` brings it up to date"
+        + (", as the operator of a newer chart does" if url.get_backend_name() == "postgresql" else "")
     )
 
 

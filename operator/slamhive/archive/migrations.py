@@ -107,7 +107,14 @@ def _shapes(connection: Connection) -> None:
     connection.execute(text("ALTER TABLE runs ALTER COLUMN evaluations SET DEFAULT '[]'"))
 
 
-STEPS: dict[int, Callable[[Connection], None]] = {1: _identities, 2: _identity, 3: _shapes}
+def _remarks(connection: Connection) -> None:
+    """Make room for notes and tags on runs."""
+    moment = "TIMESTAMP" if connection.dialect.name == "postgresql" else "DATETIME"
+    for column, kind in (("note", "TEXT"), ("tags", "TEXT"), ("noted", moment)):
+        connection.execute(text(f"ALTER TABLE runs ADD COLUMN {column} {kind}"))
+
+
+STEPS: dict[int, Callable[[Connection], None]] = {1: _identities, 2: _identity, 3: _shapes, 4: _remarks}
 """By version: how tables of that version become those of the next."""
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 
 from pydantic import Field
 
+from slamhive.archive.remarks import Remarks, split
 from slamhive.model.base import Model
 from slamhive.model.canonical import digest
 from slamhive.model.results import Outcome, Phase, Reason, Result, RunRecord
@@ -68,12 +69,13 @@ class CatalogEntry(Model):
 
 @dataclass(frozen=True)
 class FinishedPoint:
-    """End of a finished run of a sweep, with the number of its results."""
+    """End of a finished run of a sweep, with the number of its results, and its note and tags."""
 
     index: int | None
     phase: Phase
     reason: Reason | None
     results: int
+    remarks: Remarks
 
 
 @dataclass(frozen=True)
@@ -212,6 +214,7 @@ def run_row(record: RunRecord) -> dict[str, Any]:
         "trajectory": record.trajectory.as_json() if record.trajectory else None,
         "provenance": record.provenance.as_json(),
     }
+    row |= Remarks.of(record).row
     return {key: clean(value) for key, value in row.items()}
 
 
@@ -259,6 +262,7 @@ def to_record(run: Mapping[str, Any], results: Iterable[Result]) -> RunRecord:
         }
         | {name: run[name] for name in ("trajectory", "provenance", "folder", "log_tail")}
         | {"index": run["point"], "results": list(results)}
+        | {"note": run["note"], "tags": split(run["tags"]), "noted": run["noted"]}
     )
 
 

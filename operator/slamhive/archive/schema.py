@@ -36,7 +36,7 @@ from sqlalchemy import (
 if TYPE_CHECKING:
     from sqlalchemy import Dialect
 
-VERSION = 4
+VERSION = 5
 """Version of the tables below; a change to them adds one and a step to ``migrations.STEPS``."""
 
 metadata = MetaData()
@@ -162,6 +162,10 @@ runs = Table(
     Column("namespace", String(253)),
     Column("cluster", String(253)),
     Column("evaluations", JsonDocument, nullable=False, server_default="[]"),
+    # Words of people, which may change at any time, unlike all else: `remarks`.
+    Column("note", Text),
+    Column("tags", Text),
+    Column("noted", UtcDateTime),
     Index("runs_of_sweep", "sweep", "phase"),
     Index("runs_of_sweep_uid", "sweep_uid", "phase"),
     sqlite_autoincrement=True,

@@ -27,7 +27,16 @@ MOST_SAMPLES = 1000
 _SETTINGS = ("algorithm", "sensors", "dataset", "seed", "parameters.", "input.", "resources.")
 _TAGS = (
     *("sweep", "dataset", "algorithm", "repetition", "name", "run", "uid", "namespace", "cluster"),
-    *("phase", "status", "reason", "algorithm.version", "dataset.version", "provenance.contentHash"),
+    *(
+        "note",
+        "tags",
+        "phase",
+        "status",
+        "reason",
+        "algorithm.version",
+        "dataset.version",
+        "provenance.contentHash",
+    ),
     *("provenance.cpuModel", "provenance.slamhiveVersion", "provenance.reusedFrom", "usage.memory.kind"),
 )
 _OF_EVALUATION = ("evaluation", "alignment", "outcome")

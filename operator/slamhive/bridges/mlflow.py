@@ -79,6 +79,8 @@ class Writer:
         )
         number = made.info.run_id
         tags = [self._entities.RunTag(name, value[:_MOST_TEXT]) for name, value in run.tags.items()]
+        if "note" in run.tags:  # where its pages show one
+            tags.append(self._entities.RunTag("mlflow.note.content", run.tags["note"]))
         for some in _batches(tags, _MOST_TAGS):
             self._client.log_batch(number, tags=some)
         settings = [

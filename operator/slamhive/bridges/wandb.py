@@ -9,6 +9,7 @@ import re
 import shutil
 from typing import TYPE_CHECKING, Any
 
+from slamhive.archive.remarks import split
 from slamhive.bridges.gathering import FittedNames
 from slamhive.model.canonical import digest as digest_of
 from slamhive.model.extras import library
@@ -58,6 +59,7 @@ class Writer:
             project=re.sub(r"[/\\#?%:]+", "-", run.sweep)[:128],
             group=run.sweep,
             job_type=run.tags.get("algorithm"),
+            notes=run.tags.get("note"),
             tags=_tags(run),
             config={"settings": run.settings, "tags": run.tags, "files": run.files},
             reinit="create_new",
@@ -94,7 +96,8 @@ class Writer:
 
 def _tags(run: Handed) -> list[str]:
     words = ("sweep", "dataset", "repetition", "uid")
-    return [f"{word}:{run.tags[word]}"[:_MOST_TAG] for word in words if word in run.tags]
+    own = [f"{word}:{run.tags[word]}"[:_MOST_TAG] for word in words if word in run.tags]
+    return [*own, *split(run.tags.get("tags"))]
 
 
 def _written(folder: Path) -> Any:

@@ -218,10 +218,11 @@ app.command("train-vocabulary")(train)
 
 def _surroundings(spec: AlgorithmSpec) -> Iterator[str]:
     """Yield the surroundings of an algorithm: topics of its poses, image, settings files."""
-    if spec.ros1 is not None:
-        for what, source in (("poses", spec.ros1.poses), ("keyframes", spec.ros1.keyframes)):
+    node = spec.node
+    if node is not None:
+        for what, source in (("poses", node.poses), ("keyframes", node.keyframes)):
             if source is not None:
-                yield f"as a ROS 1 node: {what} on {source.topic} ({source.type})"
+                yield f"as a ROS {node.ros} node: {what} on {source.topic} ({source.type})"
     if spec.image is not None:
         yield f"image: {spec.image}"
     if spec.files:

@@ -109,7 +109,8 @@ def merge(
 ) -> None:
     """Take the runs of another home into this one, with their files; the other one is not changed.
 
-    A run that stands in both is there once; nothing here is replaced. A merge that was stopped goes on.
+    A run that stands in both is there once, with the tags of both and the newer note; nothing else here is
+    replaced. A merge that was stopped goes on.
 
     Example: slamhive archive merge /data/anna/slamhive --dry-run
     """
@@ -140,9 +141,10 @@ def merge(
                 merging.merge(home, archive, theirs, plan, step)
     for path in plan.unread[:_SHOWN]:
         complain(f"{path}: can't be read, and was not copied")
+    said = f", notes or tags of {plural(len(plan.remarks), 'run')}" if plan.remarks else ""
     out.print(
         f"merged: {plural(len(plan.coming), 'run')}, {plural(len(plan.results), 'result')} of runs that were "
-        f"here; {bytes_text(plan.extent.size)} in {plural(plan.extent.files, 'file')}"
+        f"here{said}; {bytes_text(plan.extent.size)} in {plural(plan.extent.files, 'file')}"
     )
     if plan.unread:
         raise typer.Exit(FAILED)
@@ -155,6 +157,8 @@ def _tell_of_merge(plan: Merge) -> None:
         f"{plural(extent.files, 'file')}); {plural(plan.known, 'run')} here already, "
         f"{plural(len(plan.results), 'result')} to add to them"
     )
+    if plan.remarks:
+        out.print(f"notes or tags come for {plural(len(plan.remarks), 'run')} that are here already")
     for sentence in plan.aside[:_SHOWN]:
         remark(sentence)
     if len(plan.aside) > _SHOWN:

@@ -4,18 +4,20 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from slamhive.analysis.edits import NOT_TRACKED, edits
 from slamhive.analysis.expressions import ExpressionError
-from slamhive.analysis.grouping import where_equal
+from slamhive.analysis.grouping import LOAD, where_equal
 from slamhive.analysis.metrics import Metric
 from slamhive.analysis.selection import Selection, choose
 from slamhive.cli.parts import tables
-from slamhive.cli.parts.console import emit, out, plural, remark, speaks_json
+from slamhive.cli.parts.console import emit, listing, out, plural, remark, speaks_json
 from slamhive.cli.results import TABLE_METRICS, usual_columns
 from slamhive.local.running.outlook import moment_text
 from slamhive.model.errors import InputError
@@ -26,9 +28,12 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from slamhive.analysis.edits import Edit, EditLine
+    from slamhive.analysis.frame import Frame
+    from slamhive.archive import EarlierRun
     from slamhive.local.home.folder import Home
     from slamhive.local.running.runner import Job
 
+_PARTS = ("algorithm", "dataset")
 _RAW = (
     "before and after: geometric means over the settings that ran with both, each by the median of its "
     "repetitions; p is of each line by itself"
@@ -36,8 +41,9 @@ _RAW = (
 
 _LOAD = (
     "CPU and memory of before and after were measured at different times: what else the machine did then is "
-    "part of them"
+    "part of them; they are of runs that were tracked, and aren't compared where a version has none"
 )
+_NO_LOAD = "CPU and memory aren't compared: one of the versions has no run that was tracked"
 
 
 def errors_before(job: Job, home: Home) -> Mapping[int, float]:
@@ -59,26 +65,37 @@ def errors_before(job: Job, home: Home) -> Mapping[int, float]:
     return {row: float(np.median(errors)) for row, errors in found.items()}
 
 
-def show_edits(job: Job, home: Home) -> None:
-    """Show what the edits did that made runs of a job stale; nothing where there were none."""
-    outlook = job.outlook
-    if outlook is None or not outlook.replaced:
+def show_edits(jobs: Sequence[Job], home: Home) -> None:
+    """Show what the edits did that made runs of jobs stale, one after another; nothing without any.
+
+    Runs of several sweeps are compared together: of each setting it matters what ran, not who asked for it.
+    """
+    jobs = [job for job in jobs if job.outlook is not None and job.outlook.replaced]
+    if not jobs:
         return
-    names = _edited(job)
     frame = read_archive(home.archive_url, home.path / "cache")
-    chosen = choose(frame, Selection((job.sweep.name,), superseded=True)).frame
+    # Of this workstation: one on a cluster may have the same name.
+    chosen = choose(frame, Selection(tuple(f"/{job.sweep.name}" for job in jobs), superseded=True)).frame
+    causes = _causes(jobs, chosen)
     metrics = usual_columns(TABLE_METRICS, chosen, filled=True)
-    if not metrics:
-        return
-    found, notes = edits(chosen, metrics, names)
+    found, notes = edits(chosen, metrics, {key: one.before for key, one in causes.items()})
+    sweep = jobs[0].sweep.name if len(jobs) == 1 else None
     for edit in found:
         if speaks_json():
-            _emit(job, edit)
+            _emit(sweep, edit)
         else:
-            _print(job, edit)
-    if found and not speaks_json():
+            _print(edit, causes[edit.changed, edit.name].words)
+    lines = [line for edit in found for line in edit.lines]
+    if lines and not speaks_json():
         remark(_RAW)
-        remark(_LOAD)
+        remark(_LOAD if any(_is_load(line) for line in lines) else _NO_LOAD)
+    compared = {(edit.changed, edit.name) for edit in found if edit.settings}
+    together = {name for key, one in causes.items() if key not in compared for name in one.together}
+    if together:
+        remark(
+            f"{listing(sorted(together))} were edited together: no run tells what each edit did, so none is "
+            "compared; runs between two edits tell them apart"
+        )
     for note in notes:
         remark(note)
 
@@ -105,37 +122,76 @@ def to_do_again(jobs: Sequence[Job], home: Home, condition: str) -> None:
             remark(f"--rerun-where: no finished run of {job.sweep.name} meets it")
 
 
-def _edited(job: Job) -> set[str]:
-    """Return the names of the algorithms and datasets of the runs that were made otherwise before."""
-    found = set()
-    for index in job.outlook.replaced if job.outlook is not None else ():
-        spec = job.points.point(index).spec
-        found |= {spec["algorithmRef"]["name"], spec["datasetRef"]["name"]}
-    return found
+class _Cause(NamedTuple):
+    """An edit of an algorithm or a dataset since its runs were last done.
+
+    Attributes:
+        before: the version that they had then; of several that of most of them, the latest of equally many.
+        words: the parts that were edited since.
+        together: its name and those of what else was edited, where none of these runs was made otherwise by
+            it alone.
+    """
+
+    before: str
+    words: tuple[str, ...]
+    together: frozenset[str]
 
 
-def _why(job: Job, edit: Edit) -> str:
-    """Return the parts that were edited, as far as they are known, as the end of a sentence."""
-    if job.outlook is None:
-        return ""
-    words = dict.fromkeys(
-        word
-        for index, why in job.outlook.why.items()
-        if job.points.point(index).spec[f"{edit.changed}Ref"]["name"] == edit.name
-        for word in why
+def _causes(jobs: Sequence[Job], frame: Frame) -> dict[tuple[str, str], _Cause]:
+    """Return the edits since the runs of jobs were last done, by ``algorithm`` or ``dataset`` and name."""
+    versions = dict(
+        zip(
+            frame.column("provenance.contentHash").tolist(),
+            zip(*(frame.column(f"{part}.version").tolist() for part in _PARTS), strict=True),
+            strict=True,
+        )
     )
-    return f": {', '.join(words)} changed" if words else ""
+    found: dict[tuple[str, str], dict[str, _Runs]] = defaultdict(lambda: defaultdict(_Runs))
+    for points, outlook in [(job.points, job.outlook) for job in jobs if job.outlook is not None]:
+        for index, run in outlook.replaced.items():
+            edited = outlook.edited[index]
+            names = {part: str(name) for part, name in points.point(index).short_spec.items()}
+            together = {names[part] for part in _PARTS if part in edited}
+            for part, version in zip(_PARTS, versions.get(run.content_hash, ()), strict=False):
+                if part in edited and version is not None:
+                    found[part, names[part]][version].add(run, edited[part], together)
+    causes = {}
+    for key, sides in found.items():
+        before = max(sides, key=lambda version: (sides[version].number, sides[version].last))
+        runs = sides[before]
+        causes[key] = _Cause(before, tuple(runs.words), frozenset(() if runs.alone else runs.together))
+    return causes
 
 
-def _print(job: Job, edit: Edit) -> None:
+@dataclass
+class _Runs:
+    """Runs of a version before an edit: how many and when, and what was edited since."""
+
+    number: int = 0
+    last: float = -math.inf
+    words: dict[str, None] = field(default_factory=dict)
+    together: set[str] = field(default_factory=set)
+    alone: bool = False
+
+    def add(self, run: EarlierRun, words: Sequence[str], together: set[str]) -> None:
+        """Add a run, with the parts that were edited, and the names of all that was."""
+        self.number += 1
+        self.last = max(self.last, run.finished.timestamp() if run.finished is not None else -math.inf)
+        self.words |= dict.fromkeys(words)
+        self.together |= together
+        self.alone |= len(together) == 1
+
+
+def _print(edit: Edit, words: Sequence[str]) -> None:
     since = (
         f" ({moment_text(datetime.fromtimestamp(edit.before.last, UTC))})"
         if edit.before.last is not None
         else ""
     )
+    why = f": {', '.join(words)} changed" if words else ""
     out.print()
     out.print(
-        f"Before and after: {edit.name} {edit.before.version}{since} → {edit.after.version}{_why(job, edit)}",
+        f"Before and after: {edit.name} {edit.before.version}{since} → {edit.after.version}{why}",
         markup=False,
         style="bold",
     )
@@ -154,10 +210,19 @@ def _print(job: Job, edit: Edit) -> None:
     if edit.unpaired:
         settings = plural(edit.unpaired, "setting")
         remark(f"{settings} of the sweep ran with one of the two versions alone: not compared")
-    if any(edit.disturbed):
-        before, after = edit.disturbed
-        counts = f"{before} of {edit.before.runs} runs before and {after} of {edit.after.runs} after"
-        remark(f"{counts} shared their cores with other work or were throttled: mind that in CPU and memory")
+    if any(edit.disturbed) and any(_is_load(line) for line in edit.lines):
+        before, after = (
+            f"{count:,} of {plural(runs, 'run')}"
+            for count, runs in zip(edit.disturbed, edit.runs, strict=True)
+        )
+        remark(
+            f"{before} before and {after} after shared their cores with other work or were throttled: "
+            "mind that in CPU and memory"
+        )
+
+
+def _is_load(line: EditLine) -> bool:
+    return line.metric.startswith(LOAD)
 
 
 def _varies(lines: Sequence[EditLine], name: str) -> bool:
@@ -174,7 +239,9 @@ def _texts(line: EditLine) -> list[str]:
         metric = Metric.parse(line.metric)
         sides = ["failed" if math.isinf(value) else metric.show(value) for value in (line.before, line.after)]
         title, change = metric.title, _percent(line.ratio)
-    verdict = line.verdict or ("deterministic" if line.deterministic else "the same")
+    # That nothing came of it twice is no equal result.
+    nothing = "failed before and after" if line.failed and not any(line.wins) else ""
+    verdict = line.verdict or nothing or ("deterministic" if line.deterministic else "the same")
     return [title, *sides, change, *(str(count) for count in line.wins), verdict]
 
 
@@ -191,11 +258,11 @@ def _percent(ratio: float) -> str:
     return f"{(ratio - 1) * 100:+.1f} %" if ratio != 1 else "0 %"
 
 
-def _emit(job: Job, edit: Edit) -> None:
+def _emit(sweep: str | None, edit: Edit) -> None:
     for line in edit.lines:
         emit(
             "compared",
-            sweep=job.sweep.name,
+            sweep=sweep,
             changed=edit.changed,
             name=edit.name,
             versionBefore=edit.before.version,
@@ -210,6 +277,7 @@ def _emit(job: Job, edit: Edit) -> None:
             better=line.wins[0],
             worse=line.wins[1],
             same=line.wins[2],
+            failed=line.failed,
             deterministic=line.deterministic,
             p=line.p,
             verdict=line.verdict,

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,7 +24,7 @@ from slamhive.cli.showing import show
 from slamhive.cli.unlisting import remove_dataset, rename
 from slamhive.local.home.catalog import editor_line, load_workshop
 from slamhive.local.home.folder import Home
-from slamhive.model.base import ObjectMeta, explain
+from slamhive.model.base import explain, plain_name, require_name
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.formats import DataFormat, holds, misfit
@@ -31,9 +32,11 @@ from slamhive.model.run import InputOptions, LidarInput
 from slamhive.model.sensors import ROLES, SensorMode
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
+    from slamhive.data.doctor.findings import Finding
     from slamhive.data.inspecting.inspection import DatasetReport, SensorReport
+    from slamhive.local.home.catalog import DatasetPlace
     from slamhive.model.dataset import DatasetSpec
 
 app = typer.Typer(no_args_is_help=True, help="Datasets: list, add, check, prepare and export them.")
@@ -101,12 +104,12 @@ app.command("show")(show)
 
 @app.command("add")
 def add(
-    source: Annotated[
-        Path,
+    sources: Annotated[
+        list[Path],
         typer.Argument(
-            metavar="SOURCE",
-            help="A manifest, a bag, a folder as EuRoC, TUM and others publish it, a CARMEN log, or "
-            "FAMILY/SEQUENCE of the catalogue.",
+            metavar="SOURCE...",
+            help="A manifest, a bag or the pieces of one, a folder as EuRoC, TUM and others publish it, a "
+            "CARMEN log, or FAMILY/SEQUENCE of the catalogue.",
         ),
     ],
     *,
@@ -131,7 +134,10 @@ def add(
 
     Example: slamhive dataset add my.bag --name hall
     """
-    home = Home.from_environment()
+    home, source = Home.from_environment(), sources[0]
+    if len(sources) > 1:
+        _suggest(sources, _named(source, name))
+        return
     if not source.exists() and catalogue.is_title(str(source)):
         try:
             _add_sequence(str(source), name, home, replace=replace, keep_archive=keep_archive)
@@ -149,7 +155,7 @@ def add(
     chosen = _named(source, name)
     layout = layout_of(source)
     if layout is None:
-        _suggest(source, chosen)
+        _suggest([source], chosen)
         return
     folder = home.folder("datasets") / chosen
     with _place(home, chosen, replace=replace), Work(f"importing {chosen}") as work:
@@ -157,6 +163,7 @@ def add(
         _, notes = import_recording(source, folder, chosen, layout, options=options, progress=work.share)
     for sentence in notes:
         remark(f"- {sentence}")
+    _look_at(home, chosen)
     _added(folder / "dataset.yaml")
 
 
@@ -276,24 +283,78 @@ def export(
 
 
 @app.command("check")
-def check(name: Name, *, as_json: AsJson = False) -> None:
+def check(
+    name: Name,
+    *,
+    repair: Annotated[
+        Path | None,
+        typer.Option("--repair", metavar="NEW.yaml", help="Manifest to write: repaired of what was found."),
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Look into a sample of the messages: seconds, whatever its size.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
     """Read a dataset through: topics, rates, gaps, calibration, overlap with its ground truth.
+
+    With --repair, a manifest of it is written that has the repair of each finding, and says why; the
+    recording stays as it is.
 
     Example: slamhive dataset check synthetic-lidar
     """
     from slamhive.data.inspecting.inspection import inspect
+    from slamhive.data.inspecting.known import FINDINGS, keep
+    from slamhive.data.inspecting.quick import glance
 
+    if repair is not None:
+        _require_new_file(repair)
     with Work(f"checking {name}") as work:
         bench = open_workbench(Home.from_environment())
         work.follow(bench.making)
         with bench.archive:
-            report = inspect(bench.dataset(name), bench.home.folder("truths"), work.share)
+            entry = bench.dataset(name)
+            report = glance(entry) if quick else inspect(entry, bench.home.folder("truths"), work.share)
+            keep(entry, report.findings, bench.home.path / FINDINGS, is_sample=quick)
     if as_json:
         typer.echo(json.dumps(report.as_json(), indent=2))
     else:
         _print_report(report)
+    if repair is not None:
+        _write_repaired(bench.workshop.dataset(name), report, repair)
     if not report.is_usable:
         raise typer.Exit(FAILED)
+
+
+def _require_new_file(target: Path) -> None:
+    if target.suffix not in _MANIFESTS:
+        raise InputError(f"--repair: {target}: a manifest ends in .yaml")
+    if os.path.lexists(target):
+        raise InputError(f"--repair: {target} exists already; choose another name or remove it")
+    if not target.parent.is_dir():
+        raise InputError(f"--repair: {target.parent}: no such folder")
+
+
+def _write_repaired(place: DatasetPlace, report: DatasetReport, target: Path) -> None:
+    """Write the manifest of a dataset with the repairs of what was found, beside links to its files."""
+    from slamhive.data.inspecting.remedies import repaired_manifest
+    from slamhive.data.store.datasets import files_of
+
+    made = repaired_manifest(place.dataset, report.findings)
+    for sentence in made.notes:
+        remark(sentence)
+    if not made.repaired:
+        remark(f"{target} wasn't written: no finding has a repair")
+        return
+    if not place.dataset.spec.is_to_fetch:
+        for path in files_of(place.dataset):
+            if (place.folder / path).exists():
+                (target.parent / path).parent.mkdir(parents=True, exist_ok=True)
+                _link(target.parent / path, (place.folder / path).resolve())
+    target.write_text(editor_line("Dataset") + made.text, encoding="utf-8")
+    remark(f"wrote {target}: {made.name}, with {plural(len(made.repaired), 'repair')}")
+    remark(f"then: slamhive dataset add {target}")
+    if made.name != place.dataset.name:
+        remark(f"it stands beside {place.dataset.name}; of that name, and with --replace, it takes its place")
 
 
 def _catalog_cells(spec: DatasetSpec) -> tuple[str, ...]:
@@ -325,19 +386,15 @@ def _named(source: Path, name: str | None) -> str:
     Raises:
         InputError: It is none of an object.
     """
-    from slamhive.model.catalogue import plain_name
-
     chosen = name or plain_name(source.resolve().name.split(".")[0])
-    try:
-        ObjectMeta.model_validate({"name": chosen})
-    except ValidationError as error:
-        raise InputError(f"--name: {explain(error.errors()[0])}, found {chosen!r}") from None
+    require_name(chosen, "name")
     return chosen
 
 
 def _add_manifest(source: Path, home: Home, *, replace: bool) -> None:
-    from slamhive.data.inspecting.inspection import require_usable
-    from slamhive.data.store.datasets import HASHES, add_dataset
+    from slamhive.data.inspecting.known import FINDINGS, keep
+    from slamhive.data.inspecting.quick import require_usable
+    from slamhive.data.store.datasets import HASHES, DatasetEntry, add_dataset
     from slamhive.model.loading import load_file
 
     datasets = [item for item in load_file(source) if isinstance(item, Dataset)]
@@ -349,8 +406,10 @@ def _add_manifest(source: Path, home: Home, *, replace: bool) -> None:
         raise InputError(f"{source}: {names.count(twice)} Datasets of the name {twice!r}; each needs its own")
     root, known = source.parent.absolute(), home.folder("datasets")
     for dataset in datasets:
-        for sentence in require_usable(dataset, root, known / HASHES):
-            out.print(f"[yellow]warning:[/] {escape(f'dataset {dataset.name!r}: {sentence}')}")
+        findings, warnings = require_usable(dataset, root, known / HASHES)
+        if findings:
+            keep(DatasetEntry(dataset, root), findings, home.path / FINDINGS, is_sample=True)
+        _print_findings(findings, warnings, where=f"dataset {dataset.name!r}: ")
     for dataset in datasets:
         with _place(home, dataset.name, replace=replace):
             manifest = add_dataset(dataset, root, known)
@@ -394,7 +453,21 @@ def _add_sequence(title: str, name: str | None, home: Home, *, replace: bool, ke
             )
     with _place(home, chosen, replace=replace):
         manifest, _ = catalogue.add_sequence(title, chosen, home, keep_archive=keep_archive)
+    _look_at(home, chosen)
     _added(manifest)
+
+
+def _look_at(home: Home, name: str) -> None:
+    """Say what a sample of a dataset's messages tells of it."""
+    from slamhive.data.inspecting.known import FINDINGS, keep
+    from slamhive.data.inspecting.quick import glance
+    from slamhive.local.running.impossible import at_hand
+
+    entry = at_hand(load_workshop(home).dataset(name), home)
+    if entry is not None:
+        report = glance(entry)
+        keep(entry, report.findings, home.path / FINDINGS, is_sample=True)
+        _print_findings(report.findings, report.warnings, report.errors)
 
 
 def _added(manifest: Path) -> None:
@@ -402,15 +475,15 @@ def _added(manifest: Path) -> None:
     remark(f"look into it: slamhive dataset check {manifest.parent.name}")
 
 
-def _suggest(source: Path, name: str) -> None:
+def _suggest(sources: Sequence[Path], name: str) -> None:
     from slamhive.data.inspecting.suggestion import suggest_dataset
 
     target = Path(f"{name}.yaml")
     if target.exists():
         raise InputError(f"{target} exists already; complete it and add it: slamhive dataset add {target}")
-    suggestion = suggest_dataset(source, name)
-    if suggestion.elsewhere is not None:
-        _link(Path(suggestion.file), suggestion.elsewhere)
+    suggestion = suggest_dataset(sources, name)
+    for link, recording in suggestion.elsewhere.items():
+        _link(Path(link), recording)
     target.write_text(editor_line("Dataset") + suggestion.text, encoding="utf-8")
     out.print(f"wrote {target}", soft_wrap=True)
     for sentence in suggestion.missing:
@@ -429,7 +502,7 @@ def _link(link: Path, recording: Path) -> None:
             f"{link}: cannot be linked to {recording}: {error.strerror}; a manifest's paths start from its "
             "folder"
         ) from None
-    out.print(f"linked {link} to {recording}", soft_wrap=True)
+    remark(f"linked {link} to {recording}")
 
 
 def _remark_frames(frames: int, rate: float | None, seconds: float, resolution: float) -> None:
@@ -461,7 +534,7 @@ def _input(  # noqa: PLR0917 - one for each option
 
 
 def _print_report(report: DatasetReport) -> None:
-    from slamhive.data.inspecting.inspection import GAP_PERIODS
+    from slamhive.data.doctor.stamps import GAP_PERIODS
 
     duration = f"{report.duration_seconds:.1f} s" if report.duration_seconds is not None else "unknown length"
     out.print(f"[bold]{escape(report.name)}[/] {report.format}, {duration}")
@@ -469,12 +542,22 @@ def _print_report(report: DatasetReport) -> None:
     for heading in ("sensor", "topic", "messages", "rate", "covers", "gaps"):
         table.add_column(heading, overflow="fold", no_wrap=heading != "topic")
     for sensor in report.sensors:
-        table.add_row(*_sensor_cells(sensor))
+        cells = [*_sensor_cells(sensor)]
+        table.add_row(*(cells if report.sampled is None else [*cells[:4], "–", "–"]))
     if report.sensors:
         out.print(table)
         for sensor in report.sensors:
-            out.print(escape(f"{sensor.name}: {bytes_text(sensor.size_bytes)}, {sensor.content}"))
-        remark(f"a gap: more than {GAP_PERIODS:g} periods of a sensor's mean rate without a message")
+            size = [bytes_text(sensor.size_bytes)] if report.sampled is None else []
+            if told := ", ".join(filter(None, [*size, sensor.content])):
+                out.print(escape(f"{sensor.name}: {told}"))
+        if report.sampled is None:
+            remark(f"a gap: more than {GAP_PERIODS:g} periods of a sensor's mean rate without a message")
+        else:
+            there = sum({sensor.topic: sensor.messages for sensor in report.sensors}.values())
+            remark(
+                f"a sample of {report.sampled:,} of {there:,} messages: gaps, ends and the ground truth take "
+                "all of them, without --quick"
+            )
     truth = report.ground_truth
     if truth is not None:
         noun = _TRUTH_NOUNS[truth.kind]
@@ -487,26 +570,35 @@ def _print_report(report: DatasetReport) -> None:
         out.print(
             f"other topics, for algorithms that ask for them (modes[].topics): {escape(listed)}", style="dim"
         )
-    _print_findings(report)
+    _print_findings(report.findings, report.warnings, report.errors)
 
 
-def _print_findings(report: DatasetReport) -> None:
-    """Print what is noted, then what may be wrong, then what is, each with its code."""
-    known = {finding.message: finding for finding in report.findings}
+def _print_findings(
+    findings: Sequence[Finding], warnings: Iterable[str] = (), errors: Iterable[str] = (), *, where: str = ""
+) -> None:
+    """Print what is noted, then what may be wrong, then what is, each with its code and its repair.
 
-    def text(message: str) -> str:
-        finding = known.get(message)
-        if finding is None:
-            return message
-        return f"{message} ({finding.code})"
+    Args:
+        findings: What has a code.
+        warnings: What else may be wrong; sentences of findings among them are printed once.
+        errors: What else is wrong, likewise.
+        where: What all of it is about, in front of each.
+    """
 
-    for finding in report.findings:
-        if finding.severity == "note":
-            out.print(f"note: {escape(text(finding.message))}", style="dim")
-    for warning in report.warnings:
-        out.print(f"[yellow]warning:[/] {escape(text(warning))}")
-    for error in report.errors:
-        complain(text(error))
+    def text(finding: Finding) -> str:
+        repair = f"\n  put into the spec: {finding.repair_line}" if finding.repair else ""
+        return f"{where}{finding.message} ({finding.code}){repair}"
+
+    from slamhive.model.variant import Severity
+
+    told = {finding.message for finding in findings}
+    said = {weight: [text(one) for one in findings if one.severity == weight] for weight in Severity}
+    for note in said[Severity.NOTE]:
+        out.print(f"note: {escape(note)}", style="dim")
+    for warning in [*(where + one for one in warnings if one not in told), *said[Severity.WARNING]]:
+        out.print(f"[yellow]warning:[/] {escape(warning)}")
+    for error in [*(where + one for one in errors if one not in told), *said[Severity.ERROR]]:
+        complain(error)
 
 
 def _sensor_cells(sensor: SensorReport) -> Iterator[str]:

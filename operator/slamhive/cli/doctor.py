@@ -103,7 +103,7 @@ def _looks(
 ) -> dict[str, Callable[[], ReadinessRow | Iterable[ReadinessRow]]]:
     from slamhive.local.home.catalog import load_workshop
     from slamhive.local.home.folder import Home
-    from slamhive.local.programs import readiness
+    from slamhive.local.programs import readiness, rosreadiness
 
     home = Home.from_environment()
     workshop = load_workshop(home)
@@ -111,7 +111,9 @@ def _looks(
         "Python": readiness.python,
         "packages": readiness.packages,
         "algorithms": lambda: readiness.algorithms(workshop),
-        "ROS": lambda: readiness.ros(workshop),
+        "ROS 1": lambda: rosreadiness.ros1(workshop),
+        "ROS 2": lambda: rosreadiness.ros2(workshop),
+        "shared memory": lambda: rosreadiness.shared_memory(workshop),
         "container engines": readiness.engines,
         "cgroup accounting": readiness.accounting,
         "cores": readiness.cores,

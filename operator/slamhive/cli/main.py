@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import atexit
 import gc
+import os
 import signal
 import sys
 import warnings
@@ -38,7 +39,9 @@ class _Command(NamedTuple):
 # table; the module is imported when its command is called. A test holds the lines against the commands' own.
 COMMANDS = {
     "demo": _Command(
-        "running", "demo", "Compare real algorithms on a generated recording, and show the table."
+        "running",
+        "demo",
+        "Compare real algorithms on a generated recording: a table, what won, at what cost, what next.",
     ),
     "run": _Command(
         "running", "run", "Run sweeps on this machine, or on a cluster as if it were this machine."
@@ -68,7 +71,7 @@ COMMANDS = {
     "report": _Command(
         "report",
         "report",
-        "Write one self-contained HTML page: leaderboard, comparison, charts, every run.",
+        "Write one self-contained HTML page: leaderboard, comparison, charts, all runs; or one run to share.",
     ),
     "paper-table": _Command(
         "report",
@@ -221,6 +224,8 @@ def main() -> None:
     """Run the command; what goes wrong ends in a sentence and an exit code."""
     # Python looks through everything that is left before it ends, for a sixth of a figure's time.
     atexit.register(gc.freeze)
+    # Our matrices are small: more threads would wait for each other, at work. Programs have their own number.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     _say_warnings()
     try:
         app()

@@ -16,7 +16,7 @@ from slamhive.cli.parts.console import command_name, out, remark
 from slamhive.local.home.catalog import editor_line, load_workshop
 from slamhive.local.home.folder import Home
 from slamhive.local.programs.starting import ExampleKind
-from slamhive.model.base import API_VERSION, seconds
+from slamhive.model.base import API_VERSION, plain_name, seconds
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.loading import parse
 from slamhive.model.synthetic import SyntheticSensor
@@ -134,7 +134,8 @@ def new_dataset(
         for option, value in given.items():
             if value is not None:
                 raise InputError(f"{option}: of a generated recording; --recording names one that is there")
-        add(Path(source), name=_answer("name of the dataset", name, _plain_name(source)))
+        suggested = plain_name(Path(source).name.split(".")[0])
+        add([Path(source)], name=_answer("name of the dataset", name, suggested))
         return
     workshop = load_workshop(Home.from_environment())
     chosen = _answer("name of the dataset", name, "my-hall")
@@ -324,10 +325,6 @@ def _kind(text: str) -> ExampleKind:
     if text not in set(ExampleKind):
         raise UnknownNameError("kind", text, ExampleKind, "--from")
     return ExampleKind(text)
-
-
-def _plain_name(source: str) -> str:
-    return Path(source).name.split(".")[0].lower().replace("_", "-")
 
 
 def _free(path: Path) -> Path:

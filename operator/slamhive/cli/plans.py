@@ -14,9 +14,11 @@ from slamhive.archive import Archive
 from slamhive.cli.parts import tables
 from slamhive.cli.parts.checked import check_files
 from slamhive.cli.parts.choosing import Also
-from slamhive.cli.parts.console import out, plural, remark
+from slamhive.cli.parts.console import bytes_text, out, plural, remark, warn
 from slamhive.local.home.catalog import load_workshop
+from slamhive.local.home.extent import DiskTally
 from slamhive.local.home.folder import Home
+from slamhive.local.running.impossible import impossible_runs
 from slamhive.local.running.outlook import Looking, sentences
 from slamhive.local.running.runner import Job
 from slamhive.local.running.workbench import Workbench
@@ -76,6 +78,9 @@ def plan(
     if count:
         out.print(sum(len(points) for _, points in plans))
         return
+    if not as_json:
+        warn_impossible(plans, workshop)
+        _remark_repaired(plans, workshop)
     if estimate:
         from slamhive.cli import forecasting  # numbers, which nothing else of a plan needs
 
@@ -97,9 +102,11 @@ def validate(files: Files) -> None:
 
     Example: slamhive validate sweep.yaml
     """
-    checked = check_files(files, load_workshop(Home.from_environment()))
+    workshop = load_workshop(Home.from_environment())
+    checked = check_files(files, workshop)
     for sweep, points in checked.plans:
         out.print(f"{sweep.kind} {escape(sweep.name)}: {plural(len(points), 'run')}")
+        warn_impossible([(sweep, points)], workshop)
         remark_without_effect(sweep, points)
     for item in checked.objects:
         if not isinstance(item, Sweep | MappingRun):
@@ -113,6 +120,12 @@ def remark_without_effect(sweep: Sweep, points: Plan) -> None:
     """Say which settings have no effect on some of the recordings."""
     for told in points.remarks():
         remark(f"{sweep.name}: {told}")
+
+
+def warn_impossible(plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop) -> None:
+    """Say which runs won't be started, by what is known of their recordings."""
+    for sweep, told in impossible_runs(plans, workshop, Home.from_environment()):
+        warn(f"{sweep.name}: {told}")
 
 
 def _print_outlooks(plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop) -> None:
@@ -129,6 +142,18 @@ def _print_outlooks(plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop) -> 
                 out.print(f"{sweep.name}: {'; '.join(told)}", markup=False)
     except SlamHiveError as error:
         remark(f"what is stale can't be told: {sentence(error)}")
+
+
+def _remark_repaired(plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop) -> None:
+    """Say which datasets are under repair: of these no prepared recording is the file itself."""
+    for name in sorted({name for _, points in plans for name in points.dataset_names()}):
+        known = workshop.datasets.get(name)
+        if known is None or known.spec.repair is None or not known.spec.repair.sensors:
+            continue
+        files = [workshop.dataset(name).folder / file.path for file in known.spec.recording.files]
+        size = DiskTally().of(*(file.resolve() for file in files)).size
+        room = f", up to {bytes_text(size)}" if size else ""
+        remark(f"{name} is repaired: each prepared recording of it is written anew{room}")
 
 
 def _print_json(points: Plan, count: int) -> None:

@@ -14,7 +14,7 @@ from slamhive.cli.parts.console import out, plural, remark
 from slamhive.cli.parts.tables import show
 from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError, SystemFault
-from slamhive.tables.published import BUNDLED, FOLDER, published_files, read_published, table_of
+from slamhive.tables.published import BUNDLED, FOLDER, check_names, published_files, read_published, table_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -44,7 +44,7 @@ def list_published(
             " ".join(str(part) for part in (one.source.title, one.source.venue, one.source.year) if part),
             table.place,
             str(len(table.rows)),
-            ", ".join(dict.fromkeys(row.dataset for row in table.rows)),
+            _in_short(list(dict.fromkeys(row.dataset for row in table.rows))),
             "comes with slamhive" if path.parent == BUNDLED else "added",
         ]
         for path, one in found
@@ -52,6 +52,11 @@ def list_published(
     ]
     show(out, ["file", "source", "place", "rows", "datasets", ""], lines)
     remark("beside own runs: slamhive results table --published")
+
+
+def _in_short(names: Sequence[str]) -> str:
+    """Return names, of many the first and the last one."""
+    return ", ".join(names) if len(names) < 4 else f"{names[0]} to {names[-1]}, {len(names)}"
 
 
 @app.command("add")
@@ -63,6 +68,7 @@ def add_published(
     Example: slamhive published add leaderboard.yaml
     """
     numbers = read_published(source)
+    remarks = check_names(numbers, source)
     target = Home.from_environment().folder(FOLDER) / f"{source.stem}.yaml"
     if target.exists() and target.read_bytes() != source.read_bytes():
         raise InputError(f"{target} is there and differs: remove it first, or give the file another name")
@@ -72,6 +78,8 @@ def add_published(
         raise SystemFault(f"{target}: {error.strerror or error}") from error
     rows = sum(len(table.rows) for table in numbers.tables)
     out.print(f"known now: {target}, {plural(rows, 'row')}", markup=False, soft_wrap=True)
+    for sentence in remarks:
+        remark(sentence)
 
 
 def found_for(frame: Frame) -> list[Published]:
@@ -94,6 +102,7 @@ def print_published(
         headed: function that prints headings and lines in the form that was asked for.
     """
     from slamhive.tables.published import differences_of
+    from slamhive.tables.verdicts import RULE
 
     headings, lines = table_of(found, metrics)
     if not lines:
@@ -101,6 +110,7 @@ def print_published(
         return
     out.print("\npublished, never averaged or ranked with own runs", style="bold")
     headed(headings, lines)
+    remark(RULE)
     remark("why may mine differ?")
     for sentence in differences_of(found):
         remark(f"- {sentence}")

@@ -44,7 +44,7 @@ from slamhive.tables.reading import revision
 from slamhive_eval.formats.csv_writing import csv_text
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from slamhive.analysis.frame import Frame
 
@@ -72,7 +72,11 @@ def report(
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="FILE", help="File to write; - for standard output.")
     ] = Path("report.html"),
-    title: Annotated[str, typer.Option(help="Heading of the page.")] = "SLAM comparison",
+    run: Annotated[
+        str | None,
+        typer.Option(metavar="RUN", help="One run alone: settings, path over the truth, errors, load."),
+    ] = None,
+    title: Annotated[str | None, typer.Option(help="Heading of the page [SLAM comparison].")] = None,
     metric: Annotated[
         str | None,
         typer.Option("--metric", "-m", metavar="COLUMN", help="Column to rank by [ate.rmse]."),
@@ -101,10 +105,24 @@ def report(
     superseded: Superseded = False,
     also: Also = None,
 ) -> None:
-    """Write one self-contained HTML page: leaderboard, comparison, charts, every run.
+    """Write one self-contained HTML page: leaderboard, comparison, charts, all runs; or one run to share.
 
     Example: slamhive report --analysis input.frameRate:usage.cpu.meanCores -o report.html
     """
+    if run is not None:
+        refused = {
+            "metric": metric,
+            "by": by,
+            "cost": cost,
+            "analysis": analysis,
+            "where": where,
+            "sweep": sweep,
+            "superseded": superseded,
+            "also": also,
+        }
+        _refuse(refused)
+        _of_run(run, evaluation, title, output)
+        return
     selection = select(sweep, evaluation, where, superseded=superseded)
     frame, notes = choose_runs(
         selection, "there is nothing to report", homes_beside(Home.from_environment(), also)
@@ -121,7 +139,7 @@ def report(
         else usual_questions(frame, metric, outcomes)
     )
     contents = ReportContents(
-        title=title,
+        title=title or ReportContents.title,
         metric=metric,
         by=_names(by, ",".join(COMPETITORS)),
         outcomes=outcomes,
@@ -134,6 +152,39 @@ def report(
     _write(page, None if str(output) == "-" else output)
     if str(output) != "-":
         remark(f"{output}: {runs_of(frame):,} runs, {len(page.encode()) / 1e6:.1f} MB")
+
+
+def _refuse(options: Mapping[str, object]) -> None:
+    """Complain of options that choose among runs.
+
+    Raises:
+        InputError: one was given.
+    """
+    given = next((name for name, value in options.items() if value), None)
+    if given is not None:
+        raise InputError(f"a page of one run takes no --{given}, which is for several", "run")
+
+
+def _of_run(run: str, evaluation: str | None, title: str | None, output: Path) -> None:
+    """Write the page of a run.
+
+    Raises:
+        InputError: several have that name, or it has no such evaluation.
+    """
+    from slamhive.bridges.places import Here
+    from slamhive.bridges.runpage import run_page
+    from slamhive.cli.onerun import find_run, rows_of
+
+    home = Home.from_environment()
+    with Here.open(home.archive_url, home.path) as here:
+        record = find_run(here.archive, run, "--run")
+        names = [result.evaluation for result in record.results]
+        if evaluation is not None and evaluation not in names:
+            raise UnknownNameError("evaluation", evaluation, names, "--evaluation")
+        page = run_page(record, here, rows_of(record), evaluation, title)
+    _write(page, None if str(output) == "-" else output)
+    if str(output) != "-":
+        remark(f"{output}: run {record.name}, {len(page.encode()) / 1e6:.1f} MB")
 
 
 def _check_numbers(frame: Frame, names: Sequence[str], field: str) -> None:
@@ -179,6 +230,9 @@ def paper_table(
             metavar="rank,ratio", help="Over all datasets: mean rank, geometric mean of ratios to the best."
         ),
     ] = None,
+    published: Annotated[
+        bool, typer.Option("--published", help="Add published numbers that own ones are comparable with.")
+    ] = False,
     caption: Annotated[
         str | None, typer.Option(help="What the table shows; n and the rest are added.")
     ] = None,
@@ -222,7 +276,15 @@ def paper_table(
     frame.require(names, "metric")
     _check_numbers(frame, names, "metric")
     table = make_table(frame, layout)
-    table = replace(table, notes=(*left_out, *table.notes))
+    if published:
+        # Few tables need them and their reader.
+        from slamhive.reporting.publishednumbers import with_published
+        from slamhive.tables.published import load_published
+
+        table, remarks = with_published(table, frame, load_published(Home.from_environment().path))
+        for sentence in remarks:
+            remark(sentence)
+    asides = (*left_out, *table.asides)
     if EarlierStyle.CSV is form or style is TableStyle.CSV:
         _write(csv_text(flat(table)), output)
         return
@@ -235,9 +297,11 @@ def paper_table(
         if style is TableStyle.MARKDOWN:
             text = markdown(table, told=words, origin=origin)
         else:
-            text = latex(table, caption=words, label=label, origin=origin, rules=Rules(style.value))
+            # For whoever writes the paper, in comments: its readers ask for none of it.
+            told = (*origin, *(f"{note[:1].upper()}{note[1:]}." for note in asides))
+            text = latex(table, caption=words, label=label, origin=told, rules=Rules(style.value))
     _write(text, output)
-    for note in table.notes if output else ():
+    for note in asides:
         remark(note)
 
 

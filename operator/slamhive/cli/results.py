@@ -6,21 +6,26 @@ from __future__ import annotations
 import sys
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 
+from slamhive.analysis.columns import ColumnKind
+from slamhive.analysis.derived import LATE_SECONDS, PACE
 from slamhive.analysis.frame import Frame
-from slamhive.analysis.grouping import Outcomes, aggregate, varying, where_equal
+from slamhive.analysis.grouping import Outcomes, aggregate, late_notes, varies, varying
+from slamhive.analysis.measures import CAUSAL
 from slamhive.analysis.metrics import Metric, declared_units
 from slamhive.analysis.selection import Chosen, Selection, choose, order_by, order_rows
 from slamhive.bridges.targets import BridgeTarget
 from slamhive.cli.forgetting import prune
-from slamhive.cli.onerun import show_run
-from slamhive.cli.parts.choosing import Also, EvaluationName, Output, Superseded, Where
-from slamhive.cli.parts.console import listing, out, plural, remark
+from slamhive.cli.onerun import note_runs, show_run
+from slamhive.cli.parts.choosing import Also, EvaluationName, Output, Superseded, Where, choose_runs
+from slamhive.cli.parts.console import complain, listing, open_workbench, out, plural, remark
+from slamhive.cli.parts.exits import FAILED
 from slamhive.cli.parts.tables import PrintFormat, show, write_json, write_markdown
 from slamhive.cli.parts.waiting import Work
 from slamhive.cli.suspecting import show_suspects
@@ -38,9 +43,12 @@ from slamhive.tables.text import (
     key_text,
     key_title,
     table_lines,
+    time_text,
     value_text,
 )
+from slamhive.tables.timeliness import FACTOR, LATENCIES, by_clock
 from slamhive.tables.uncollected import uncollected
+from slamhive.tables.words import disproportion_notes, meanings
 from slamhive_eval.formats.csv_writing import csv_blocks, write_csv
 
 if TYPE_CHECKING:
@@ -60,15 +68,22 @@ _BLOCK = 2000
 
 LIST_COLUMNS = (
     *("run", "sweep", "algorithm", "sensors", "dataset", "repetition", "phase", "evaluation", "outcome"),
-    *("ate.rmse", "rpe[0].rmse", "coverage", "usage.cpu.secondsPerDataSecond", "usage.cpu.meanCores"),
-    "usage.memory.peakBytes",
-)
-TABLE_METRICS = (
-    *("ate.rmse", "rpe[0].rmse", "relations.translation.mean", "relations.rotationDeg.mean"),
+    *("ate.rmse", f"{CAUSAL}ate.rmse", "rpe[0].rmse", "coverage"),
     *("usage.cpu.secondsPerDataSecond", "usage.cpu.meanCores", "usage.memory.peakBytes"),
+    *(LATE_SECONDS, FACTOR, "finished"),
 )
+NEWEST = ("-finished",)
+TABLE_METRICS = (
+    *("ate.rmse", f"{CAUSAL}ate.rmse", "rpe[0].rmse"),
+    *("relations.translation.mean", "relations.rotationDeg.mean"),
+    *("usage.cpu.secondsPerDataSecond", "usage.cpu.meanCores", "usage.memory.peakBytes"),
+    *(*LATENCIES, FACTOR),
+)
+_WHERE_PLAYED = {f"{CAUSAL}ate.rmse", LATE_SECONDS, FACTOR}
 _SAID_ONCE = ("sweep", "algorithm", "sensors", "dataset", "phase", "evaluation")
 _MOST_SETTINGS = 6
+_MOST_PROBLEMS = 15
+_MOST_NOTE = 60
 
 SweepName = Annotated[str | None, typer.Option(metavar="NAME", help="Only runs of this sweep.")]
 Sort = Annotated[
@@ -91,7 +106,7 @@ def list_results(
     also: Also = None,
     form: Annotated[PrintFormat, typer.Option("--format", help="How to print.")] = PrintFormat.TABLE,
 ) -> None:
-    """List runs with their results, one line a run and evaluation.
+    """List runs with their results, one line a run and evaluation, the latest first.
 
     Example: slamhive results list --where "outcome != 'Tracked'" --sort=-coverage
     """
@@ -104,11 +119,11 @@ def list_results(
     same: dict[str, Any] = {}
     if wanted is None and form not in (PrintFormat.JSON, PrintFormat.CSV):
         wanted, same = _telling(frame)
-    usual = wanted or usual_columns(_with_home(LIST_COLUMNS, frame), frame)
+    usual = wanted or _usual(frame)
     shown = [Metric.parse(name) for name in usual]
     names = [metric.column for metric in shown]
     frame.require(names)
-    rows = _sorted(frame, sort).records(names)
+    rows = _sorted(frame, sort, NEWEST).records(names)
     match form:
         case PrintFormat.JSON:
             write_json(sys.stdout, rows)
@@ -117,17 +132,26 @@ def list_results(
         case _:
             if same:
                 _print_shared(same)
-            lines = [[value_text(metric, row[metric.column]) for metric in shown] for row in rows]
+            texts = [
+                time_text if frame.column(one.column).kind is ColumnKind.TIME else partial(_short, one)
+                for one in shown
+            ]
+            lines = [[text(row[name]) for text, name in zip(texts, names, strict=True)] for row in rows]
             with declared_units(frame.units):
                 titles = [
-                    key_title(one.column, names) if one.column.startswith("parameters.") else one.title
+                    key_title(one.column, names)
+                    if one.column.startswith("parameters.")
+                    else one.title_among(names)
                     for one in shown
                 ]
             _print(form, titles, lines)
+            for note in (*meanings(frame, names), *late_notes(frame, names), *disproportion_notes(frame)):
+                remark(note)
             _remark(found)
 
 
 app.command("show")(show_run)
+app.command("note")(note_runs)
 
 
 @app.command("table")
@@ -201,7 +225,9 @@ def show_table(
             with declared_units(frame.units), uncollected():
                 written = table_lines(found, across, metrics, {*shared, *implied(found, by or ())})
                 _print(form, *written)
-            for note in found.notes:
+            shown = [*(one.column for one in metrics), "coverage"]
+            said = meanings(frame, shown) if found.cells else []
+            for note in (*said, *found.notes, *disproportion_notes(frame)):
                 remark(note)
             _remark(chosen, found)
             if published:
@@ -311,6 +337,36 @@ def _hand_over(to: BridgeTarget, output: Path | None, selection: Selection, unus
         out.print(f"Next:  {next_step(to, output)}", soft_wrap=True, markup=False)
 
 
+@app.command("measure")
+def measure(
+    *,
+    where: Where = None,
+    sweep: SweepName = None,
+) -> None:
+    """Measure finished runs again whose results an earlier version of the evaluation made.
+
+    Their trajectories must still be on this machine. Nothing is run again. Ends with 1 if the machine or a
+    file was in the way.
+
+    Example: slamhive results measure --sweep demo
+    """
+    selection = Selection(_sweeps(sweep), None, where, superseded=True, each=True)
+    frame, _ = choose_runs(selection, "there is nothing to measure")
+    from slamhive.local.running.evaluations import measure_outdated
+
+    home = Home.from_environment()
+    with home.sharing(), (bench := open_workbench(home)).archive:
+        done, problems = measure_outdated(bench, set(frame.column("uid").tolist()))
+    for problem in problems[:_MOST_PROBLEMS]:
+        complain(problem.sentence)
+    if len(problems) > _MOST_PROBLEMS:
+        complain(f"{len(problems) - _MOST_PROBLEMS} more could not be measured")
+    is_current = not (done or problems)
+    out.print("all results are up to date" if is_current else f"{plural(done, 'run')} measured again")
+    if any(problem.is_fault for problem in problems):
+        raise typer.Exit(FAILED)
+
+
 app.command("suspects")(show_suspects)
 app.command("prune")(prune)
 
@@ -344,7 +400,7 @@ def _telling(frame: Frame) -> tuple[list[str], dict[str, Any]]:
     Returns:
         The columns, and what all runs share, by name.
     """
-    names = usual_columns(_with_home(LIST_COLUMNS, frame), frame)
+    names = _usual(frame)
     same: dict[str, Any] = {}
     if len(frame) > 1:
         for name in _SAID_ONCE:
@@ -353,22 +409,40 @@ def _telling(frame: Frame) -> tuple[list[str], dict[str, Any]]:
                 same[name] = values[0]
     if not frame.column("reason").is_empty:  # why a run failed, where others have an outcome
         names = ["status" if name == "outcome" else name for name in names if name != "phase"]
+    names.remove("finished")
+    if not frame.column("finished").is_empty:
+        names.insert(names.index("run") + 1, "finished")
     at = names.index("repetition")
-    names[at:at] = [name for name in varying(frame)[:_MOST_SETTINGS] if name not in names]
+    paces = [PACE] if varies(frame, PACE) else []
+    names[at:at] = [name for name in [*paces, *varying(frame)][:_MOST_SETTINGS] if name not in names]
     return [name for name in names if name not in same], same
 
 
+def _short(metric: Metric, value: Any) -> str:
+    """Return a value's text, the beginning of a long note."""
+    text = value_text(metric, value)
+    return f"{text[:_MOST_NOTE]}…" if metric.column == "note" and len(text) > _MOST_NOTE else text
+
+
+def _usual(frame: Frame) -> list[str]:
+    """Return the columns of a list: words of people too, where there are any."""
+    said = [name for name in ("tags", "note") if not frame.column(name).is_empty]
+    return [*usual_columns(_with_home(LIST_COLUMNS, frame), frame), *said]
+
+
 def usual_columns(names: Sequence[str], frame: Frame, *, filled: bool = False) -> list[str]:
-    """Return the columns that are shown unless told: mean cores only where the clock set the pace.
+    """Return the columns that are shown unless told: mean cores only where the clock alone set the pace.
+
+    What players note of nodes is shown where there is any: causal errors, latency, whether they kept up.
 
     Args:
         names: what is shown otherwise.
         frame: the rows.
         filled: whether columns without a value are left out.
     """
-    realtime = where_equal(frame, "input.pace", "Realtime").any()
-    shown = [name for name in names if realtime or name != "usage.cpu.meanCores"]
-    return [name for name in shown if not (filled and frame.column(name).is_empty)]
+    timed = by_clock(frame).any()
+    shown = [name for name in names if timed or name != "usage.cpu.meanCores"]
+    return [name for name in shown if not ((filled or name in _WHERE_PLAYED) and frame.column(name).is_empty)]
 
 
 def _names(text: str | None) -> list[str] | None:
@@ -381,10 +455,11 @@ def _columns(text: str | None, frame: Frame, argument: str) -> list[str] | None:
     return None if names is None else [frame.resolve(name, argument) for name in names]
 
 
-def _sorted(frame: Frame, sort: str | None) -> Frame:
+def _sorted(frame: Frame, sort: str | None, usual: Sequence[str] = ()) -> Frame:
     asked = _names(sort) or []
     frame.require((name.removeprefix("-") for name in asked), "sort")
-    return frame.select(order_rows(frame, asked)) if asked else frame
+    order = asked or usual
+    return frame.select(order_rows(frame, order)) if order else frame
 
 
 def _sorted_cells(found: Aggregate, sort: str | None) -> Aggregate:

@@ -15,6 +15,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.markup import escape
 
+from slamhive.analysis.grouping import aggregate
+from slamhive.analysis.metrics import declared_units
+from slamhive.analysis.selection import Selection, choose
 from slamhive.cli.cluster.commands import Context, Namespace, cluster_client
 from slamhive.cli.daily import errors_before, show_edits, to_do_again
 from slamhive.cli.parts.checked import check_files
@@ -29,11 +32,12 @@ from slamhive.cli.parts.console import (
     remark,
     speak_json,
     speaks_json,
+    warn,
 )
 from slamhive.cli.parts.exits import FAILED, INTERRUPTED, WRONG_INPUT
 from slamhive.cli.parts.progress import Display
 from slamhive.cli.parts.watching import Watched, half_saved
-from slamhive.cli.plans import Files, remark_without_effect
+from slamhive.cli.plans import Files, remark_without_effect, warn_impossible
 from slamhive.cli.results import show_table
 from slamhive.engine import PointState, Verdict
 from slamhive.local.home.catalog import bundled, load_workshop
@@ -52,6 +56,8 @@ from slamhive.model.evaluation import Evaluation
 from slamhive.model.sweep import Sweep
 from slamhive.monitor.measuring.processes import forbid_inspection
 from slamhive.plan import local_uid
+from slamhive.reporting.conclusions import conclusion
+from slamhive.tables.reading import read_archive
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -224,7 +230,7 @@ def demo(
         int | None, typer.Option("-j", "--parallelism", min=1, help="Runs at the same time at most.")
     ] = None,
 ) -> None:
-    """Compare real algorithms on a generated recording, and show the table.
+    """Compare real algorithms on a generated recording: a table, what won, at what cost, what next.
 
     Example: slamhive demo
     """
@@ -235,16 +241,24 @@ def demo(
     if code != INTERRUPTED:
         name = command_name()
         lines = (
-            f"The sweep:  {sweep}",
-            f"Next:       {name} results export --sweep demo --format csv",
-            f"            {name} results table --sweep demo -m usage.cpu.seconds -m ate.max:cm:.1f",
-            f"            {name} algorithm list",
-            f"            {name} run your-sweep.yaml      (copy the sweep above and change it)",
+            "",
+            *_conclusion(home, "demo"),
+            "",
+            f"Next:  {name} dashboard                   the runs in a browser: paths, errors, load",
+            f"       {name} run my-sweep.yaml           your own sweep: copy {sweep} and change it",
+            f"       {name} dataset add RECORDING       your own recording: a bag, or a folder as published",
         )
-        out.print()
         for line in lines:
             out.print(line, soft_wrap=True, markup=False)
     raise typer.Exit(code)
+
+
+def _conclusion(home: Home, sweep: str) -> list[str]:
+    """Return sentences on what won in a sweep, at what cost."""
+    frame = choose(read_archive(home.archive_url, home.path / "cache"), Selection((sweep,))).frame
+    error, cost = "ate.rmse", "usage.cpu.secondsPerDataSecond"
+    with declared_units(frame.units):
+        return conclusion(aggregate(frame, [error, cost]), error, cost)
 
 
 @dataclass(frozen=True)
@@ -298,8 +312,7 @@ def _run_files(files: Sequence[Path], home: Home, how: _How) -> int:
             interrupted = code == INTERRUPTED
         if not interrupted:
             faults = _measure(bench, jobs, evaluations)
-        for job in jobs:
-            _report(job, bench)
+        _report(jobs, bench)
     if interrupted:
         remark("interrupted; the same command goes on from here")
         return INTERRUPTED
@@ -393,18 +406,26 @@ def _tell_of(sweep: Sweep, points: Plan, workshop: Workshop, container: Containe
     for name in points.algorithm_names():
         reason = unavailable(workshop.algorithm(name), container)
         if reason:
-            if speaks_json():
-                remark(f"{name} can't run here: {reason}")
-            else:
-                err.print(f"[yellow]{escape(name)} can't run here: {escape(reason)}[/]")
+            warn(f"{name} can't run here: {reason}")
     remark_without_effect(sweep, points)
+    warn_impossible([(sweep, points)], workshop)
 
 
-def _report(job: Job, bench: Workbench) -> None:
+def _report(jobs: Sequence[Job], bench: Workbench) -> None:
+    """Show how jobs ended, and once what edits did."""
+    is_one = len(jobs) == 1
+    for job in jobs:
+        _report_one(job, bench, is_one=is_one)
+    if not is_one:
+        show_edits(jobs, bench.home)
+
+
+def _report_one(job: Job, bench: Workbench, *, is_one: bool) -> None:
     succeeded, failed = job.count(PointState.SUCCEEDED), job.count(PointState.FAILED)
     waiting = len(job.points) - succeeded - failed - job.left_out
     if speaks_json():
-        show_edits(job, bench.home)
+        if is_one:
+            show_edits([job], bench.home)
         emit(
             "end",
             sweep=job.sweep.name,
@@ -430,7 +451,8 @@ def _report(job: Job, bench: Workbench) -> None:
     if succeeded or failed:
         out.print()
         show_table(sweep=job.sweep.name, also=[])
-    show_edits(job, bench.home)
+    if is_one:
+        show_edits([job], bench.home)
     reason = f" ({job.verdict}: {job.message})" if job.message and waiting else ""
     out.print(
         f"{escape(job.sweep.name)}: {plural(len(job.points), 'run')}: {', '.join(parts)}{escape(reason)}"

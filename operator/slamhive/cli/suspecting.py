@@ -16,13 +16,10 @@ from slamhive.cli.parts.console import out, plural, remark
 from slamhive.cli.parts.tables import write_json
 from slamhive.cli.parts.waiting import Work
 from slamhive.local.home.folder import Home
-from slamhive.model.results import Outcome
-from slamhive.model.sensors import SensorMode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from slamhive.analysis.frame import Frame
     from slamhive.archive.records import CatalogEntry
     from slamhive.bridges.places import Here
     from slamhive.runfiles.suspecting import DatasetSuspects
@@ -39,11 +36,12 @@ def show_suspects(
     Example: slamhive results suspects --where "dataset == 'hall'"
     """
     from slamhive.bridges.places import Here
+    from slamhive.runfiles.suspecting import TRACKED_COLUMNS, tracked_systems
 
     frame, notes = choose_runs(Selection((), evaluation, where), "there is nothing to compare")
     home = Home.from_environment()
     with Work("comparing paths") as work, Here.open(home.archive_url, home.path) as here:
-        datasets = _tracked(frame)
+        datasets = tracked_systems(frame.records(list(TRACKED_COLUMNS)))
         algorithms = here.algorithms()
         found = []
         for number, (dataset, systems) in enumerate(sorted(datasets.items())):
@@ -56,17 +54,6 @@ def show_suspects(
         _print(one)
     for note in notes:
         remark(note)
-
-
-def _tracked(frame: Frame) -> dict[str, dict[str, dict[str, bool]]]:
-    """Return the runs that tracked, by dataset, algorithm and UID: whether each has no scale of its own."""
-    datasets: dict[str, dict[str, dict[str, bool]]] = {}
-    for row in frame.records(["dataset", "algorithm", "uid", "outcome", "sensors"]):
-        systems = datasets.setdefault(str(row["dataset"]), {})
-        if row["outcome"] == Outcome.TRACKED.value:
-            runs = systems.setdefault(str(row["algorithm"]), {})
-            runs.setdefault(str(row["uid"]), row["sensors"] == SensorMode.MONO)
-    return datasets
 
 
 def _suspects(

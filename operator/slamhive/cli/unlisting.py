@@ -99,7 +99,6 @@ def _remove(home: Home, entry: Listed, *, yes: bool, dry_run: bool) -> None:
 def referring(home: Home, column: str, name: str) -> int:
     """Return the number of runs that refer to an entry; refuses a home of a newer version."""
     from slamhive.analysis.grouping import where_equal
-    from slamhive.analysis.selection import count_runs
     from slamhive.archive import Archive
     from slamhive.tables.reading import read_archive
 
@@ -107,4 +106,4 @@ def referring(home: Home, column: str, name: str) -> int:
         return 0
     Archive.open(home.archive_url, read_only=True).close()
     frame = read_archive(home.archive_url, home.path / "cache")
-    return count_runs(frame, where_equal(frame, column, name))
+    return frame.count_runs(where_equal(frame, column, name))

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from slamhive.cli.onerun import find_runs
+from slamhive.cli.onerun import find_run
 from slamhive.cli.parts.console import out, remark
 from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError
@@ -33,11 +33,7 @@ def view(
         why = "is there already; nothing is overwritten" if save.exists() else "its folder is not there"
         raise InputError(f"--save: {save}: {why}")
     with Here.open(home.archive_url, home.path) as here:
-        found = find_runs(here.archive, run)
-        if len(found) > 1:
-            uids = ", ".join(record.uid for record in found[:6])
-            raise InputError(f"RUN: {len(found)} runs are called {run!r}: name one by its UID: {uids}")
-        notes = show(found[0], here, save)
+        notes = show(find_run(here.archive, run, "RUN"), here, save)
     for note in notes:
         remark(note)
     if save is not None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from slamhive.conformance import rows
+from slamhive.conformance import noderows, rows
 from slamhive.conformance.damaging import Damage
 from slamhive.conformance.executors import CheckExecutor, CheckStart
 from slamhive.conformance.findings import Finding, failed, passed, skipped, warned
@@ -17,8 +17,10 @@ from slamhive.conformance.recordings import recording_for
 from slamhive.conformance.workstation import variant_of
 from slamhive.contract.posefiles import FRAMES
 from slamhive.local.home.parameters import parameter_uses
+from slamhive.model.algorithm import Pace
 from slamhive.model.errors import SlamHiveError
 from slamhive.model.results import Phase
+from slamhive_eval import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
     from slamhive.local.home.catalog import AlgorithmEntry
     from slamhive.model.algorithm import AlgorithmSpec, Mode
 
-_EQUAL_STARTS = 3
+_EQUAL_STARTS, _STEPPED_STARTS = 3, 2
 _WHEN = (0.4, 0.2, 0.1, 0.0)
 """Shares of its usual time after which the program is told to end; earlier if it had ended by itself."""
 _WAIT_SECONDS, _WAIT_TIMES = 30.0, 3.0
@@ -76,7 +78,8 @@ def check_algorithm(
     if asked.dataset is not None:
         bench.workshop.dataset(asked.dataset)
     modes = entry.algorithm.spec.modes
-    watcher.begin(len(executors) * sum(_EQUAL_STARTS + len(mode.needs) + 2 for mode in modes))
+    equal = _EQUAL_STARTS + (_STEPPED_STARTS if _is_stepped_too(entry.algorithm.spec) else 0)
+    watcher.begin(len(executors) * sum(equal + len(mode.needs) + 2 for mode in modes))
     found: list[Finding] = []
 
     def take(findings: Iterator[Finding]) -> None:
@@ -90,6 +93,11 @@ def check_algorithm(
             examination = _Examination(bench, executor, asked, mode, watcher)
             take(one.at(executor.name, mode.name.value) for one in examination.findings())
     return found
+
+
+def _is_stepped_too(spec: AlgorithmSpec) -> bool:
+    """Tell whether it can be played to frame by frame, beside what it is checked in."""
+    return Pace.STEPPED in spec.paces[1:]
 
 
 def parameters(entry: AlgorithmEntry) -> Iterator[Finding]:
@@ -146,6 +154,7 @@ class _Examination:
             for finding in self._of_sound(ended, variant) if verdict.answer == "pass" else ():
                 yield finding.at("", "", did)
             if verdict.answer == "pass":
+                yield from self._stepped(asked.dataset or recording_for(mode))
                 yield from self._of_unsound(ended[-1])
         except SlamHiveError as error:
             yield failed("runs", str(error), "have what it names at hand, or give another --dataset")
@@ -161,10 +170,28 @@ class _Examination:
         if verdict is not None:
             yield verdict
         end = variant.start_time + variant.duration_seconds
-        yield rows.data(variant.frames, end, variant.duration_seconds, output, last)
+        truth = self._bench.truth(last.record.spec["datasetRef"]["name"])
+        moved = truth.poses if truth is not None else None
+        rest = rows.rest_before(end, moved) if isinstance(moved, Trajectory) else 0.0
+        yield rows.data(variant.frames, end, variant.duration_seconds, output, last, rest=rest)
         yield from self._poses(last, variant)
         yield rows.repeatable(self._spec.deterministic, ended)
         yield rows.cost(variant.duration_seconds, ended)
+
+        if self._spec.paces[0] is Pace.REALTIME and self._spec.plays(Pace.REALTIME) is not None:
+            yield noderows.latency(ended)
+
+    def _stepped(self, dataset: str) -> Iterator[Finding]:
+        """Start it frame by frame, and compare."""
+        node = self._spec.plays(Pace.STEPPED)
+        if node is None or not _is_stepped_too(self._spec):
+            return
+        ended = []
+        for number in range(_EQUAL_STARTS, _EQUAL_STARTS + _STEPPED_STARTS):
+            start = CheckStart(self._mode, self._asked.timeout, number, pace=Pace.STEPPED)
+            ended.append(self._start(start, f"stepped, run {number + 1 - _EQUAL_STARTS}"))
+        did = f"started {_STEPPED_STARTS} times on {dataset} in the pace Stepped"
+        yield noderows.stepped(self._spec, node, ended).at("", "", did)
 
     def _poses(self, ended: CheckEnd, variant: Variant) -> Iterator[Finding]:
         """Tell whether poses fit the ground truth, and as declared better than in any other reading."""

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from slamhive.conformance.damaging import Damage
-    from slamhive.model.algorithm import Mode
+    from slamhive.model.algorithm import Mode, Pace
     from slamhive.model.results import RunRecord
     from slamhive_eval import Trajectory
 
@@ -29,6 +29,7 @@ class CheckStart:
         timeout: how long it may take, s.
         damage: what its recording lacks; None: nothing.
         stop_after: when it is told to end, s after its start; None: it ends by itself.
+        pace: the pace; None: the algorithm's first.
     """
 
     mode: Mode
@@ -36,6 +37,7 @@ class CheckStart:
     number: int = 0
     damage: Damage | None = None
     stop_after: float | None = None
+    pace: Pace | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -93,7 +93,10 @@ def asked_of(algorithm: str, start: CheckStart, dataset: str | None, catalog: Ca
         "retries": 0,
     }
     spec = catalog.algorithms[algorithm].spec
-    if dataset is None and spec.plays(spec.paces[0]):
-        template["input"] = {"duration": "9s"}  # by the clock: as short as tells something
+    asked: dict[str, str] = {"pace": start.pace.value} if start.pace is not None else {}
+    if dataset is None and spec.plays(start.pace or spec.paces[0]):
+        asked["duration"] = "9s"  # by the clock: as short as tells something
+    if asked:
+        template["input"] = asked
     metadata = ObjectMeta(name=f"check-{algorithm}-{mode.value}"[:60].rstrip("-."))
     return Sweep(metadata=metadata, spec=SweepSpec(template=RunTemplate(spec=template)))

@@ -26,6 +26,8 @@ _TAKEN_IN = 0.98
 _PROCESSED = 0.5
 _END_SHARE, _END_SECONDS = 0.1, 1.0
 """The last pose may be this much before the end of the recording."""
+_STILL_METRES, _STILL_RADIANS = 0.05, 0.03
+"""A platform at rest keeps within these of where it ends: less gives no new keyframe."""
 _EQUAL = 1e-9
 _MIB = 1 << 20
 
@@ -67,19 +69,24 @@ def settings(spec: AlgorithmSpec, ended: CheckEnd) -> Finding | None:
         return failed("settings", f"not rendered: {', '.join(missing)}", "see the run's message")
     if unread:
         how = "give the program the path: files/… in its working folder, or $SLAMHIVE_FILES"
+        if spec.ros2 is not None and spec.ros2.parameters is None:
+            how = "name it in ros2.parameters, with arguments: Ros, if it is a file of parameters"
         return failed("settings", f"rendered, but nothing opened {', '.join(unread)}", how)
     if any(ended.settings[path] is None for path in wanted):
         return passed("settings", f"rendered: {', '.join(wanted)}; whether it was read can't be told here")
     return passed("settings", f"rendered and opened: {', '.join(wanted)}")
 
 
-def data(frames: int, end: float, seconds: float, output: Output, ended: CheckEnd) -> Finding:
+def data(
+    frames: int, end: float, seconds: float, output: Output, ended: CheckEnd, *, rest: float = 0.0
+) -> Finding:
     """Say whether the recording was read to its end.
 
     Args:
         frames: how many frames it has.
         end: sensor time of the last one, s.
         seconds: its length.
+        rest: for how long the platform doesn't move at its end, s: no keyframes come of that.
         output: what the poses mean.
         ended: what came of a start.
     """
@@ -93,16 +100,44 @@ def data(frames: int, end: float, seconds: float, output: Output, ended: CheckEn
         if counted.processed < _PROCESSED * frames:
             return warned("data", told, "most frames are left out: is it too slow, or are they refused?")
         return passed("data", told)
-    if ended.trajectory is None:
+    return _data_by_poses(end, seconds, rest, output, ended.trajectory)
+
+
+def _data_by_poses(
+    end: float, seconds: float, rest: float, output: Output, trajectory: Trajectory | None
+) -> Finding:
+    if trajectory is None:
         return warned("data", "without a pose nothing tells how far it read", "write metrics.json")
-    gap = end - float(ended.trajectory.stamps[-1])
-    told = f"{len(ended.trajectory.stamps)} poses, the last {max(gap, 0.0):.2f} s before the end of the data"
+    gap = end - float(trajectory.stamps[-1])
+    of_keyframes = output.poses is Poses.KEYFRAMES
+    what = "keyframes" if of_keyframes else "poses"
+    told = f"{len(trajectory.stamps)} {what}, the last {max(gap, 0.0):.2f} s before the end of the data"
+    if of_keyframes and rest > 0:
+        told += f", where nothing moves for {rest:.2f} s"
+        gap -= rest
     if gap <= max(_END_SECONDS, _END_SHARE * seconds):
         return passed("data", told)
-    how = "read until the recording ends, and write framesProcessed into metrics.json"
-    # A platform that rests gives no keyframes.
-    late = warned if output.poses is Poses.KEYFRAMES else failed
-    return late("data", told, how)
+    if of_keyframes:
+        return warned("data", told, "look into its log whether it was still tracking: keyframes don't tell")
+    return failed("data", told, "read until the recording ends, and write framesProcessed into metrics.json")
+
+
+def rest_before(end: float, truth: Trajectory) -> float:
+    """Return for how long before an instant nothing moves any more, s.
+
+    Args:
+        end: the instant, in sensor time, s.
+        truth: ground truth.
+    """
+    before = truth.stamps <= end
+    if not before.any():
+        return 0.0
+    positions, quaternions = truth.positions[before], truth.quaternions[before]
+    moved = np.linalg.norm(positions - positions[-1], axis=1) > _STILL_METRES
+    turned = 2 * np.arccos(np.clip(np.abs(quaternions @ quaternions[-1]), 0.0, 1.0)) > _STILL_RADIANS
+    moving = np.flatnonzero(moved | turned)
+    begin = moving[-1] if len(moving) else 0
+    return max(end - float(truth.stamps[before][begin]), 0.0)
 
 
 def repeatable(declared: str, ended: Sequence[CheckEnd]) -> Finding:
@@ -115,7 +150,7 @@ def repeatable(declared: str, ended: Sequence[CheckEnd]) -> Finding:
     elif absent:
         told, equal = f"differ; by how much can't be told: {absent}", False
     else:
-        told, equal = _difference([one.trajectory for one in ended])
+        told, equal = difference([one.trajectory for one in ended])
         told = f"{count} runs {told}"
     told = f"declared {declared}; {told}"
     if declared == "Yes":
@@ -130,7 +165,7 @@ def repeatable(declared: str, ended: Sequence[CheckEnd]) -> Finding:
     return warned(check, told, f'declare deterministic: "{"Yes" if equal else "No"}"')
 
 
-def _difference(trajectories: Sequence[Trajectory | None]) -> tuple[str, bool]:
+def difference(trajectories: Sequence[Trajectory | None]) -> tuple[str, bool]:
     """Say how much trajectories differ, and whether that is nothing."""
     known = [one for one in trajectories if one is not None]
     if len(known) < len(trajectories):
@@ -220,6 +255,10 @@ def cost(seconds: float, ended: Sequence[CheckEnd]) -> Finding:
         )
     if any(one.usage and one.usage.includes_reader for one in records):
         return passed(check, f"{told}; the reading of the recording is in it")
+    if any(one.usage and one.usage.includes_reader is None for one in records):
+        how = "read on a thread of its own and write its clock as readerCpuSeconds into metrics.json, or "
+        how += "say includesReader: true; without that its CPU is marked beside others'"
+        return warned(check, f"{told}; whether the reading of the recording is in it isn't known", how)
     return passed(check, told)
 
 

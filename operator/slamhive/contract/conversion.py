@@ -8,6 +8,7 @@ could change it. The program's own file stays. What it holds is no more to be tr
 from __future__ import annotations
 
 import errno
+import math
 import os
 from array import array
 from contextlib import contextmanager, suppress
@@ -39,7 +40,7 @@ from slamhive.contract.posefiles import (
     TUM,
 )
 from slamhive.contract.rotation import TOLERANCE, from_matrix, inverse, is_rotation, normalized
-from slamhive.contract.trajectory import TrajectoryCheck, check_pose, parse_pose, words_of
+from slamhive.contract.trajectory import TrajectoryCheck, check_pose, other_count, parse_pose, words_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -56,6 +57,7 @@ _LARGEST_SECONDS = 1e9
 _LEAST_SHARE = 1e-3
 """Of a nanosecond: what a stamp that was computed in floating point may be off by."""
 _FRAMES_BYTES = 64 << 20
+_NAN = b"nan"
 _SEPARATORS = (",", ";", "\t")
 _SHOWN_NAMES = 200
 # What an algorithm can do to its own folder; all else is the disk's fault.
@@ -229,6 +231,8 @@ class _FileRows:
             words = [stamp, *words[1:]]
         self._rows += 1
         pose = parse_pose(words, self._meaning)
+        if any(map(math.isnan, pose)):  # an evaluation leaves the row out, and counts it
+            return b" ".join((stamp, *[_NAN] * 7)) + b"\n"
         check_pose(pose, self._before)
         self._before = pose[0]
         x, y, z, w = quaternion = (pose[4], pose[5], pose[6], pose[7])
@@ -253,10 +257,10 @@ class _FileRows:
             return words
         if form == EUROC:
             if len(words) < len(COLUMNS):
-                raise ValueError(f"found {len(words)} of {len(COLUMNS)} values; {self._meaning}")
+                raise other_count(words, len(COLUMNS), self._meaning)
             return [*words[:4], *words[5:8], words[4]]
         if len(words) != len(COLUMNS):
-            raise ValueError(f"found {len(words)} of {len(COLUMNS)} values; {self._meaning}")
+            raise other_count(words, len(COLUMNS), self._meaning)
         return words
 
     def _cells(self, line: bytes) -> list[bytes] | None:
@@ -275,7 +279,7 @@ class _FileRows:
     def _kitti(self, words: list[bytes]) -> tuple[bytes, list[bytes]]:
         """Return the stamp of a line with a matrix, and the words of its pose."""
         if len(words) not in (_MATRIX, _MATRIX + 1):
-            raise ValueError(f"found {len(words)} of {_MATRIX} values; {self._meaning}")
+            raise other_count(words, _MATRIX, self._meaning)
         if self._width is not None and len(words) != self._width:
             raise ValueError(f"found {len(words)} values, and {self._width} in the lines above it")
         self._width = len(words)
@@ -289,6 +293,8 @@ class _FileRows:
                 f"the stamp before them"
             )
         cells = words[-_MATRIX:]
+        if any(value is not None and math.isnan(value) for value in map(number, cells)):
+            return stamp, [stamp, *[_NAN] * 7]
         values = [_finite(word, self._meaning) for word in cells]
         rotation = [*values[0:3], *values[4:7], *values[8:11]]
         if not is_rotation(rotation):

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 from contextlib import contextmanager
 from itertools import islice
 from typing import IO, TYPE_CHECKING
@@ -20,6 +21,12 @@ _LONGEST_LINE = 64 << 10
 _SHOWN_CHARACTERS = 30
 _LOOKED_AT, _NAMED = 1000, 3
 """Files of an output folder that are looked at for one that is missing, and that are named."""
+_TRACEBACK = re.compile(
+    r"(Traceback|Current thread|Thread) .*\(most recent call (last|first)\)|Extension modules: "
+)
+# "[ WARN] [1600000000.5]: …" of roscpp, "[WARN] [1600000000.500000]: …" of rospy, and ROS 2's
+# "[WARN] [1600000000.500000000] [node]: …".
+_REPORT = re.compile(r"\[ *(DEBUG|INFO|WARN|WARNING)\] ?\[[^\]]*\]")
 _KNOWN = {
     *("trajectory.txt", "trajectory.online.txt", "trajectory.keyframes.txt"),
     *("metrics.json", "segments.csv"),
@@ -75,6 +82,23 @@ def _files(folder: str) -> list[str]:
             os.close(descriptor)
     except OSError:  # it may be gone, or closed to us
         return []
+
+
+def telling_line(text: str) -> str:
+    """Return the last line of a log that says something, empty if none does.
+
+    Lines of source that a traceback ends with where its program was killed say nothing by themselves, and a
+    ROS node's reports tell of what it met before: they count where there is nothing else.
+    """
+    lines = [line.rstrip() for line in text.splitlines() if line.strip()]
+    telling = [line for line in lines if not (line[0].isspace() or _TRACEBACK.match(line))]
+    words = [line for line in telling if not is_report(line)]
+    return (words or telling or lines or [""])[-1].strip()
+
+
+def is_report(line: str) -> bool:
+    """Tell whether a line is a ROS node's, of a level below error: of its work, not of its end."""
+    return _REPORT.match(line) is not None
 
 
 @contextmanager

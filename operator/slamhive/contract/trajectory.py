@@ -109,14 +109,20 @@ def _read(file: IO[bytes], limit: int) -> SoundTrajectory:
     poses = _PoseCount()
     for lines in blocks(file, TRAJECTORY, _MEANING, limit):
         poses.add(lines)
+    if poses.unknown and not poses.count:
+        rows = "its only row holds" if poses.unknown == 1 else f"all {poses.unknown} rows hold"
+        raise TextFault.at(TRAJECTORY, f"{rows} NaN: no pose")
     return SoundTrajectory(poses.count, poses.last - poses.first, digest.hexdigest())
 
 
 class _PoseCount:
-    """Count, first and last stamp of the poses in a trajectory's lines that were checked so far."""
+    """Count, first and last stamp of the poses in a trajectory's lines that were checked so far.
+
+    Rows that hold NaN are no poses: an evaluation leaves them out and counts them.
+    """
 
     def __init__(self) -> None:
-        self.count = 0
+        self.count = self.unknown = 0
         self.first = self.last = 0.0
         self._line = 0
 
@@ -146,6 +152,9 @@ class _PoseCount:
             if words:
                 try:
                     pose = parse_pose(words, _MEANING)
+                    if any(map(math.isnan, pose)):
+                        self.unknown += 1
+                        continue
                     check_pose(pose, before)
                 except ValueError as error:
                     raise TextFault.at(TRAJECTORY, str(error), line_number) from None
@@ -188,6 +197,13 @@ def words_of(line: bytes) -> list[bytes]:
     return line.partition(b"#")[0].replace(b",", b" ").split()
 
 
+def other_count(words: list[bytes], columns: int, meaning: str) -> ValueError:
+    """Return the error that a line has another number of values: of a decimal comma about twice as many."""
+    commas = 1.5 * columns < len(words) <= 2 * columns and not any(b"." in word for word in words)
+    hint = "; numbers with a decimal comma? write a point" if commas else ""
+    return ValueError(f"found {len(words)} of {columns} values{hint}; {meaning}")
+
+
 def parse_pose(words: list[bytes], meaning: str) -> list[float]:
     """Return the numbers of a line.
 
@@ -199,7 +215,7 @@ def parse_pose(words: list[bytes], meaning: str) -> list[float]:
         ValueError: They are no 8 numbers; says so without naming the line.
     """
     if len(words) != len(_COLUMNS):
-        raise ValueError(f"found {len(words)} of {len(_COLUMNS)} values; {meaning}")
+        raise other_count(words, len(_COLUMNS), meaning)
     pose = []
     for word in words:
         found = number(word)

@@ -121,6 +121,7 @@ class RunObserved:
         end: how it ended.
         number: which attempt it is, counted from 1; None when it is never shown again after its end.
         wants_evaluation: whether a result is asked for and not there yet.
+        suspicion: what is known to be wrong with its recording, which may be why its program fails.
     """
 
     retries: int = 2
@@ -133,6 +134,7 @@ class RunObserved:
     end: AttemptEnd | None = None
     number: int | None = None
     wants_evaluation: bool = True
+    suspicion: str | None = None
 
 
 @dataclass(frozen=True)
@@ -250,7 +252,8 @@ def _ended(state: RunState, seen: RunObserved, end: AttemptEnd, now: float) -> D
     if reason.is_infrastructure and reason is not Reason.DISRUPTED:
         counted = replace(state, judged=seen.number or state.judged)
         return _fault(counted, seen, reason, message or "the machine failed", now)
-    return _fail(state, reason, message or "")
+    suspicion = seen.suspicion if reason.may_come_of_input else None
+    return _fail(state, reason, "; ".join(filter(None, (message, suspicion))))
 
 
 def _fault(state: RunState, seen: RunObserved, reason: Reason, message: str, now: float) -> Decision:

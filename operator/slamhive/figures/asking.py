@@ -10,7 +10,7 @@ import numpy as np
 
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.columns import ColumnKind
-from slamhive.analysis.grouping import Groups, Outcomes, apart, varies, where_equal
+from slamhive.analysis.grouping import Groups, Outcomes, apart, varies
 from slamhive.analysis.metrics import Metric
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError
@@ -18,6 +18,7 @@ from slamhive.reporting.papertables import Statistic
 from slamhive.reporting.questions import usual_metric, varied
 from slamhive.reporting.titles import keys_text
 from slamhive.tables.queries import split_names
+from slamhive.tables.timeliness import by_clock
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -170,7 +171,7 @@ def error_of(frame: Frame) -> str:
 
 def cost_of(frame: Frame) -> str:
     """Return the column of the cost that is meant where nothing was said: mean cores in real time alone."""
-    if where_equal(frame, "input.pace", "Realtime").any():
+    if by_clock(frame).any():
         return "usage.cpu.meanCores"
     known = [
         name for name in ("usage.cpu.secondsPerDataSecond", "usage.cpu.meanCores") if _holds(frame, name)

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from slamhive.analysis.cells import Cell
+    from slamhive.analysis.pareto import Spot
 
 
 def span(numbers: Sequence[int]) -> str:
@@ -27,28 +28,25 @@ class Tally:
     """Runs of a figure.
 
     Attributes:
-        runs, n: all of them, and those that count.
+        runs, n: all of them, and different results of those that count.
+        copies: those that count and repeat a result.
         failures: those that don't, by what became of them.
     """
 
     runs: int
     n: int
+    copies: int
     failures: dict[str, int]
 
     @classmethod
-    def of(cls, found: Iterable[tuple[int, int, dict[str, int]]]) -> Tally:
-        """Add up (runs, n, failures)."""
-        runs, n = 0, 0
+    def of(cls, found: Iterable[Cell | Spot]) -> Tally:
+        """Add up groups of runs."""
+        runs, n, copies = 0, 0, 0
         failures: Counter[str] = Counter()
         for part in found:
-            runs, n = runs + part[0], n + part[1]
-            failures.update(part[2])
-        return cls(runs, n, dict(sorted(failures.items())))
-
-    @classmethod
-    def of_cells(cls, cells: Iterable[Cell]) -> Tally:
-        """Add up groups of runs."""
-        return cls.of((cell.runs, cell.n, cell.failures) for cell in cells)
+            runs, n, copies = runs + part.runs, n + part.n, copies + part.copies
+            failures.update(part.failures)
+        return cls(runs, n, copies, dict(sorted(failures.items())))
 
     def notes(self, outcomes: Outcomes, *, above: bool = True) -> list[str]:
         """Say how many runs count, and what became of the others.
@@ -58,7 +56,9 @@ class Tally:
             above: whether those left out are counted in the figure.
         """
         kind = "tracked runs" if outcomes is Outcomes.TRACKED else "evaluated runs"
+        if self.copies:
+            kind = f"different results of {self.n + self.copies:,} {kind}"
         if not self.failures:
             return [f"n = {self.n:,} {kind}, none left out"]
-        where = "; numbers with × count them above their place" if above else ""
+        where = "; the grey field counts them at their place" if above else ""
         return [f"n = {self.n:,} {kind} of {self.runs:,}; left out: {counts_text(self.failures)}{where}"]

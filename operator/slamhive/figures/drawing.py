@@ -5,15 +5,19 @@ from __future__ import annotations
 
 import math
 import textwrap
-from itertools import chain
+from collections import Counter
+from itertools import chain, takewhile
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.analysis.measures import Better
 from slamhive.figures.pictures import Box, Dots, Line, MissingMark, PictureAxis, Ranges, Tiles
 from slamhive.figures.styles import SCALE, Style
 from slamhive.figures.widths import MM
 from slamhive.model import extras
+from slamhive.reporting.markup import shortened
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -34,10 +38,26 @@ _WIDE = 50.0
 _ALONE = {False: 0.58, True: 0.42}
 """Height over width of a panel by itself, and of one that is wider than 50 letters are high."""
 
-_ARROWS = {"left": 8, "right": 9, "above": 10, "below": 11}
-"""Matplotlib's carets whose base lies at their place."""
+_UP = ((-0.1, -1), (-0.1, -0.3), (-0.35, -0.3), (0, 0.4), (0.35, -0.3), (0.1, -0.3), (0.1, -1), (-0.1, -1))
+_ARROWS = {
+    "above": _UP,
+    "below": tuple((x, -y) for x, y in _UP),
+    "right": tuple((y, x) for x, y in _UP),
+    "left": tuple((-y, x) for x, y in _UP),
+}
+"""Arrows with a shaft, which no mark of a series looks like."""
 
 _INWARDS = {"left": (1, 0), "right": (-1, 0), "above": (0, -1), "below": (0, 1)}
+_FIELD = "#ececec"
+_INK = "#404040"
+_MOST_VALUES = 2
+"""Numbers outside of an axis at one place that are written one by one."""
+
+_MOST_LINES = 3
+_MOST_DECADES = 6
+"""Decades of an axis from which on there are no ticks between them."""
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LONGEST = 34
 
 
@@ -86,13 +106,18 @@ class Drawing:
         for axes in self._axes[len(picture.panels) :]:
             axes.remove()
         tiles = None
-        for number, (axes, panel) in enumerate(zip(self._axes, picture.panels, strict=False)):
+        panels = list(zip(self._axes, picture.panels, strict=False))
+        for number, (axes, _) in enumerate(panels):
             self._prepare(axes, number)
+        failed = [self._failed(axes, panel) for axes, panel in panels]
+        lines = max((line + 1 for places in failed for *_, line in places), default=0)
+        for number, (axes, panel) in enumerate(panels):
             for mark in panel.marks:
                 made = self._draw(axes, mark)
                 tiles = made if made is not None else tiles
-            self._missing(axes, [mark for mark in panel.marks if isinstance(mark, MissingMark)])
-            self._name(axes, panel)
+            if lines:
+                self._field(axes, failed[number], lines, named=number % self._across == 0)
+            self._name(axes, panel, above=self._field_points(lines))
             if not picture.apart:
                 self._outside(axes, panel)
         if tiles is not None:
@@ -123,8 +148,9 @@ class Drawing:
         if self._turned():
             longest = max(len(shortened(text, _LONGEST)) for text in picture.x.categories)
             room += longest * _LETTER * 0.8 * em * 0.6
-        titles = 1.4 * em * self._down if any(panel.title for panel in picture.panels) else 0.0
-        return self._down * tall + room + titles + legend
+        titles = 1.4 * em if any(panel.title for panel in picture.panels) else 0.0
+        field = self._field_points(_most_failed(picture.panels)) / 72
+        return self._down * (tall + titles + field) + room + legend
 
     def _turned(self) -> bool:
         """Tell whether texts along x stand aslant, as they are too long side by side."""
@@ -197,14 +223,29 @@ class Drawing:
         if axis.log:
             decades = math.log10(high / low)
             subs = (1.0,) if decades > 2.5 else (1.0, 3.0) if decades > 1.6 else (1.0, 2.0, 5.0)
-            own.set_major_locator(ticker.LogLocator(subs=subs, numticks=12))
-            own.set_minor_locator(ticker.LogLocator(subs=tuple(range(2, 10)), numticks=50))
+            most = max(3, int(1 / self._letters(8))) if side == "x" else 12
+            own.set_major_locator(ticker.LogLocator(subs=subs, numticks=min(most, 12)))
+            between = ticker.LogLocator(subs=tuple(range(2, 10)), numticks=50)
+            own.set_minor_locator(between if decades < _MOST_DECADES else ticker.NullLocator())
             own.set_minor_formatter(ticker.NullFormatter())
             if decades < 0.5:
                 own.set_major_locator(ticker.MaxNLocator(4))
         else:
             own.set_major_locator(ticker.MaxNLocator(4 if self._across > 2 else 5))
         own.set_major_formatter(ticker.FuncFormatter(_number))
+        if axis.ticks and side == "x":
+            self._tick_each(axes, axis.ticks)
+
+    def _tick_each(self, axes: Any, ticks: Sequence[float]) -> None:
+        """Set a tick at each number along x, and write those that have room."""
+        written, lines = set(), _TextLines()
+        for number in ticks:
+            half = self._letters(len(_number(number)) + 1) / 2
+            share = _share(axes, number)
+            if not lines.take(share - half, share + half):
+                written.add(number)
+        axes.set_xticks(ticks, [_number(number) if number in written else "" for number in ticks])
+        axes.set_xticks([], minor=True)
 
     def _ends(self, axis: PictureAxis, side: str) -> tuple[float, float]:
         """Return the ends of an axis: what it has to hold, and some air."""
@@ -212,12 +253,12 @@ class Drawing:
         assert limits is not None  # noqa: S101 - the caller looked
         low, high = limits.low, limits.high
         marks = [mark for panel in self._picture.panels for mark in panel.marks]
-        head = 0.12 if side == "y" and any(isinstance(mark, MissingMark) for mark in marks) else 0.05
         if axis.ends is not None:
             return low, high + 0.03 * (high - low)
+        head = 0.12 if side == "y" and limits.above else 0.05
         if axis.log:
             air = (high / low) ** 0.05 if high > low else 1.5
-            return low / air, high * (high / low) ** head if high > low else high * 1.5
+            return low / air, high * ((high / low) ** head if high > low else air)
         if high == low:
             half = abs(high) / 2 or 0.5
             return low - half, high + half
@@ -228,10 +269,12 @@ class Drawing:
             below = low if curves else low - 0.05 * (high - low)
         return below, high + (0.01 if curves else head) * (high - below)
 
-    def _name(self, axes: Any, panel: Panel) -> None:
+    def _name(self, axes: Any, panel: Panel, above: float) -> None:
         if panel.title:
-            letters = max(8, int(self._room() / (self._points * 0.875 * _LETTER / 72)))
-            axes.set_title(shortened(panel.title, letters), pad=0.35 * self._points)
+            letters = max(8, int(self._room() / (self._points * 0.98 * _LETTER / 72)))
+            titles = [one.title for one in self._picture.panels]
+            title = dict(zip(titles, told_apart(titles, letters), strict=True))[panel.title]
+            axes.set_title(title, pad=0.35 * self._points + above)
 
     def _labels(self) -> None:
         """Name the axes of the outer panels; a long name takes several lines."""
@@ -302,6 +345,17 @@ class Drawing:
             alpha=0.75 if mark.thin else None,
             zorder=order,
         )
+        drawn = np.flatnonzero(~(np.isnan(mark.x) | np.isnan(mark.y)))
+        if self._picture.equal and len(drawn):
+            for place, look in zip(drawn[[0, -1]], self._ends_look(style), strict=True):
+                axes.plot(mark.x[place], mark.y[place], zorder=order + 2, **look)
+
+    def _ends_look(self, style: Style) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Return the options that draw where a path starts, a ring, and where it ends, a square."""
+        wide = 0.1 * self._points
+        look = {"linestyle": "none", "markeredgecolor": style.colour, "markeredgewidth": wide}
+        start = {"marker": "o", "markersize": 0.7 * self._points, "markerfacecolor": "none"}
+        return look | start, look | {"marker": "s", "markersize": 0.35 * self._points, "color": style.colour}
 
     def _ranges(self, axes: Any, mark: Ranges) -> None:
         style = Style(mark.series)
@@ -333,31 +387,59 @@ class Drawing:
         )
         axes.hlines(middle, left, right, color=style.colour, linewidth=0.22 * self._points, zorder=3)
 
-    def _missing(self, axes: Any, marks: Sequence[MissingMark]) -> None:
-        """Write numbers of runs without a figure above their places, in as many lines as they need."""
-        size = 0.75 * self._points
-        low, high = axes.get_xlim()
-        transform = axes.get_xaxis_transform()
-        log = axes.get_xscale() == "log"
-        ends: list[float] = []
-        tall = self.figure.get_size_inches()[1] / self._down * 0.7
-        for mark in sorted(marks, key=lambda mark: mark.at):
-            text = f"{mark.count}×"
-            share = math.log(mark.at / low) / math.log(high / low) if log else (mark.at - low) / (high - low)
-            half = len(text) * 0.8 * size / 72 / self._room() / 2
-            line = next((line for line, end in enumerate(ends) if end <= share - half), len(ends))
-            ends[line : line + 1] = [share + half]
-            axes.text(
-                mark.at,
-                0.99 - line * 1.25 * size / 72 / tall,
-                text,
-                transform=transform,
-                ha="center",
-                va="top",
-                fontsize=size,
-                color=Style(mark.series).colour if mark.series >= 0 else "#404040",
-                zorder=5,
-            )
+    # Failures
+
+    def _field_points(self, lines: int) -> float:
+        """Return the height of the field for failures over the axes, in points; 0 without lines."""
+        return (lines * 0.95 + 0.4) * self._points if lines else 0.0
+
+    def _failed(self, axes: Any, panel: Panel) -> list[tuple[float, int, str, int]]:
+        """Return the places of failures along x: series, text and line of each, none over another."""
+        found = [(mark.at, mark.series, f"{mark.count:,}") for mark in _counts(panel)]
+        for mark in panel.marks:
+            if isinstance(mark, Dots):
+                found += [(x, mark.series, "") for x in mark.x[np.isnan(mark.y)].tolist()]
+        lines, placed = _TextLines(), []
+        for at, series, text in sorted(found):
+            half = self._letters(len(text) + 2) / 2 if text else 0.0
+            share = _share(axes, at)
+            placed.append((at, series, text, lines.take(share - half, share + half) if text else 0))
+        return placed
+
+    def _letters(self, count: int) -> float:
+        """Return the width of small letters as a share of a panel's."""
+        return count * _LETTER * 0.75 * self._points / 72 / self._room()
+
+    def _field(
+        self, axes: Any, failed: Sequence[tuple[float, int, str, int]], lines: int, *, named: bool
+    ) -> None:
+        """Draw the field above the axes in which failures are counted, or crossed one by one."""
+        points, size = self._points, 0.75 * self._points
+        moved = library("transforms").offset_copy
+        gap, tall = 0.15 * points, self._field_points(lines) - 0.25 * points
+        middle = moved(axes.transAxes, self.figure, 0, gap + tall / 2, units="points")
+        look = {"clip_on": False, "transform": middle}
+        (strip,) = axes.plot([0, 1], [1, 1], color=_FIELD, linewidth=tall, solid_capstyle="butt", **look)
+        strip.set_in_layout(False)
+        text = {"fontsize": size, "color": _INK, "va": "center_baseline"}
+        if named:
+            beside = moved(middle, self.figure, -0.5 * points, 0, units="points")
+            axes.text(0, 1, "failed", transform=beside, ha="right", **text)
+        for at, series, words, line in failed:
+            up = gap + tall - (0.65 + 0.95 * line) * points
+            share = _share(axes, at)
+            place = moved(axes.transAxes, self.figure, 0, up, units="points")
+            style = Style(series)
+            if not words:
+                cross = {"marker": "x", "markersize": 0.45 * points, "markeredgewidth": 0.11 * points}
+                axes.plot([share], [1], color=style.colour, clip_on=False, transform=place, **cross)
+                continue
+            if series >= 0:
+                aside = -0.4 * len(words) * _LETTER * points
+                own = moved(place, self.figure, aside, 0, units="points")
+                axes.plot([share], [1], clip_on=False, transform=own, **self._look(style))
+                place = moved(place, self.figure, 0.35 * points, 0, units="points")
+            axes.text(share, 1, words, transform=place, ha="center", zorder=5, **text)
 
     def _tiles(self, axes: Any, mark: Tiles) -> Any:
         colour = self._picture.colour
@@ -365,10 +447,11 @@ class Drawing:
         colors = library("colors")
         limits = colour.limits
         low, high = (limits.low, limits.high) if limits is not None else (0.0, 1.0)
+        large_is_good = colour.better is Better.HIGHER
         norm = (colors.LogNorm if colour.log and high > low else colors.Normalize)(low, high)
         image = axes.imshow(
             np.ma.masked_invalid(mark.values),
-            cmap=SCALE,
+            cmap=colors.LinearSegmentedColormap.from_list("errors", SCALE[:: -1 if large_is_good else 1]),
             norm=norm,
             aspect="auto",
             origin="lower",
@@ -385,7 +468,7 @@ class Drawing:
         for row, texts in enumerate(mark.texts):
             for column, text in enumerate(texts):
                 value = mark.values[row, column]
-                dark = not math.isnan(value) and float(norm(min(max(value, low), high))) < 0.5
+                share = 0.0 if math.isnan(value) else float(norm(min(max(value, low), high)))
                 axes.text(
                     column,
                     row,
@@ -393,7 +476,7 @@ class Drawing:
                     ha="center",
                     va="center",
                     fontsize=size,
-                    color="white" if dark else "black",
+                    color="white" if not math.isnan(value) and (share < 0.5) == large_is_good else "black",
                 )
         return image
 
@@ -417,26 +500,60 @@ class Drawing:
     # Outside
 
     def _outside(self, axes: Any, panel: Panel) -> None:
-        """Mark what lies outside of the axes at their edge: by an arrowhead, and its own mark before that.
+        """Mark what lies outside of the axes by an arrow inside their edge, with its numbers."""
+        found = sorted(
+            (side, self._along(axes, side, place), place, value, getattr(mark, "series", -1))
+            for mark in panel.marks
+            for side, place, value in _beyond(mark, self._picture)
+        )
+        lines: dict[str, _TextLines] = {}
+        for group in _neighbours(found, self._letters(4)):
+            side, share, place = group[len(group) // 2][:3]
+            across = side in {"above", "below"}
+            series = {number for *_, number in group}
+            colour = Style(series.pop()).colour if len(series) == 1 else _INK
+            at = (place, float(side == "above")) if across else (float(side == "right"), place)
+            look = {"marker": _ARROWS[side], "markersize": self._points, "color": colour}
+            axes.plot(*([one] for one in at), **self._at_edge(axes, side, 0.2), **look)
+            text = _values_text([value for *_, value, _ in group])
+            # Beside the arrow, towards the middle; a line further inside where another is in the way.
+            wide = self._letters(len(text) + 2) if across else 1.5 * self._points / 72 / self._tall()
+            left = across and share + wide > 1
+            begin = share - wide if left else share
+            line = lines.setdefault(side, _TextLines()).take(begin, begin + wide)
+            if line >= (_MOST_LINES if across else 1):
+                continue  # the caption tells
+            aside = (-0.5 if left else 0.5) if across else 0.35
+            axes.text(
+                *at,
+                text,
+                transform=self._at_edge(axes, side, 0.2 + line, aside)["transform"],
+                fontsize=0.75 * self._points,
+                color=_INK,
+                ha="right" if left or side == "right" else "left",
+                va="top" if side == "above" else "bottom",
+                zorder=6,
+                bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.3, "alpha": 0.8},
+            )
 
-        Both lie inside: above the edge is the title.
-        """
-        for mark in panel.marks:
-            style = Style(getattr(mark, "series", -1))
-            marked = isinstance(mark, Dots | Box) or (isinstance(mark, Line) and mark.marked)
-            for x, y, side in _beyond(mark, self._picture):
-                arrow = {"marker": _ARROWS[side], "markersize": 0.55 * self._points, "color": style.colour}
-                axes.plot([x], [y], **self._at_edge(axes, side, 0.3), **arrow)
-                if marked:
-                    hollow = isinstance(mark, Dots) and bool(mark.hollow) and all(mark.hollow)
-                    axes.plot([x], [y], **self._at_edge(axes, side, 0.8), **self._look(style, hollow=hollow))
+    def _along(self, axes: Any, side: str, place: float) -> float:
+        """Return a place along an edge as a share of its length."""
+        if side in {"above", "below"}:
+            return _share(axes, place)
+        return float((axes.transData + axes.transAxes.inverted()).transform((axes.get_xlim()[0], place))[1])
 
-    def _at_edge(self, axes: Any, side: str, share: float) -> dict[str, Any]:
-        """Return the options that place a mark inside an edge of the axes, by a share of the font's size."""
+    def _tall(self) -> float:
+        """Return the height of a panel with what belongs to it, in inches."""
+        return float(self.figure.get_size_inches()[1]) / self._down
+
+    def _at_edge(self, axes: Any, side: str, share: float, aside: float = 0.0) -> dict[str, Any]:
+        """Return the options that place a mark inside an edge of the axes, by shares of the font's size."""
         across = side in {"above", "below"}
         edge = axes.get_xaxis_transform() if across else axes.get_yaxis_transform()
-        moves = (share * part * self._points for part in _INWARDS[side])
-        placed = library("transforms").offset_copy(edge, self.figure, *moves, units="points")
+        inwards = _INWARDS[side]
+        moves = (aside, share * inwards[1]) if across else (share * inwards[0], aside)
+        moved = (part * self._points for part in moves)
+        placed = library("transforms").offset_copy(edge, self.figure, *moved, units="points")
         return {"transform": placed, "linestyle": "none", "clip_on": False, "zorder": 6}
 
     def _look(self, style: Style, *, hollow: bool = False) -> dict[str, Any]:
@@ -462,21 +579,32 @@ class Drawing:
             entries += [(number, picture.series[number]) for number in used]
         elif picture.truth:
             entries += [(number, "estimate") for number in used]
-        return entries
+        letters = int((self._inches / self._em - 3.4) / (_LETTER * 0.8125))
+        texts = told_apart([text for _, text in entries], letters)
+        return [(number, text) for (number, _), text in zip(entries, texts, strict=True)]
 
     def _legend_rows(self, inches: float) -> int:
-        return math.ceil(len(self._legend) / self._legend_across(inches))
+        entries = len(self._legend) + (2 if self._picture.equal else 0)
+        return math.ceil(entries / self._legend_across(inches)) + bool(self._picture.shared)
 
     def _legend_across(self, inches: float) -> int:
         longest = max(len(text) for _, text in self._legend)
         wide = (longest * 0.9 * _LETTER * 0.8125 + 3.4) * self._em
-        return max(1, min(len(self._legend), int(inches / wide)))
+        return max(1, min(len(self._legend) + (2 if self._picture.equal else 0), int(inches / wide)))
 
     def _write_legend(self) -> None:
         handles = [self._handle(number) for number, _ in self._legend]
         texts = [f" {text}" if text.startswith("_") else text for _, text in self._legend]
+        if self._picture.equal:
+            lines = library("lines")
+            handles += [lines.Line2D([], [], **look) for look in self._ends_look(Style(-1))]
+            texts += ["start", "end"]
         across = self._legend_across(self._inches)
-        self.figure.legend(handles, texts, loc="outside lower center", ncols=across)
+        letters = int(self._inches / self._em / _LETTER)
+        title = shortened(self._picture.shared, letters) or None
+        self.figure.legend(
+            handles, texts, loc="outside lower center", ncols=across, title=title, title_fontsize="medium"
+        )
 
     def _handle(self, number: int) -> Any:
         """Return the sign of a series in the legend: a box, a line, a mark, or a line with marks."""
@@ -501,37 +629,99 @@ class Drawing:
         )
 
 
-def _beyond(mark: Mark, picture: Picture) -> Iterator[tuple[float, float, str]]:
-    """Go through what of a mark lies outside of the axes: its place on the edge, and which edge."""
-    if isinstance(mark, Tiles | MissingMark):
-        return
-    if isinstance(mark, Box):
-        points = [(mark.at, float(value)) for value in mark.values] if len(mark.values) > 60 else []
-    elif isinstance(mark, Line) and not mark.marked:
-        points = _peaks(mark)
-    else:
-        points = list(zip(mark.x.tolist(), mark.y.tolist(), strict=True))
-    seen = set()
-    for x, y in points:
+class _TextLines:
+    """Lines of texts from left to right, of which none lies over another."""
+
+    def __init__(self) -> None:
+        self._ends: list[float] = []
+
+    def take(self, begin: float, end: float) -> int:
+        """Return the first line with room for a text; texts come in the order of their beginnings."""
+        line = next((line for line, taken in enumerate(self._ends) if taken <= begin), len(self._ends))
+        self._ends[line : line + 1] = [end]
+        return line
+
+
+def _counts(panel: Panel) -> list[MissingMark]:
+    return [mark for mark in panel.marks if isinstance(mark, MissingMark)]
+
+
+def _most_failed(panels: Sequence[Panel]) -> int:
+    """Return the number of lines that failures need at least: those at one place stand below each other."""
+    crosses = any(
+        isinstance(mark, Dots) and np.isnan(mark.y).any() for panel in panels for mark in panel.marks
+    )
+    counts = (Counter(mark.at for mark in _counts(panel)) for panel in panels)
+    return max((count for found in counts for count in found.values()), default=int(crosses))
+
+
+def _share(axes: Any, x: float) -> float:
+    """Return the place along x as a share of the axes."""
+    low, high = axes.get_xlim()
+    if axes.get_xscale() == "log":
+        x, low, high = (math.log(max(one, low)) for one in (x, low, high))
+    return float((x - low) / (high - low))
+
+
+def _neighbours(found: Sequence[Any], least: float) -> Iterator[list[Any]]:
+    """Go through what lies outside, sorted by edge and share along it, those beside each other together."""
+    group: list[Any] = []
+    for one in found:
+        if group and (one[0] != group[-1][0] or one[1] - group[-1][1] > least):
+            yield group
+            group = []
+        group.append(one)
+    if group:
+        yield group
+
+
+def _values_text(values: Sequence[float]) -> str:
+    """Return numbers outside of an axis: a few one by one, more by their count and range."""
+    found = sorted(
+        {_number(float(f"{value:.3g}")): value for value in sorted(values)}.items(), key=itemgetter(1)
+    )
+    texts = [text for text, _ in found]
+    if len(texts) <= _MOST_VALUES:
+        return ", ".join(texts)
+    return f"{len(texts)}: {texts[0]} to {texts[-1]}"
+
+
+def _beyond(mark: Mark, picture: Picture) -> Iterator[tuple[str, float, float]]:
+    """Go through what of a mark lies outside of the axes: which edge, the place along it, the number."""
+    held = [axis.limits if not axis.categories else None for axis in (picture.x, picture.y)]
+    for x, y in _points(mark):
         if math.isnan(x) or math.isnan(y):
             continue
-        for place, limits, signs in (
-            (x, picture.y.limits if not picture.y.categories else None, ("below", "above")),
-            (y, picture.x.limits if not picture.x.categories else None, ("left", "right")),
+        for value, place, limits, along, sides in (
+            (y, x, held[1], held[0], ("below", "above")),
+            (x, y, held[0], held[1], ("left", "right")),
         ):
-            value = y if signs[0] == "below" else x
             if limits is None or limits.low <= value <= limits.high:
                 continue
-            sign = signs[0] if value < limits.low else signs[1]
-            spot = (place, float(sign in {"above", "right"}))
-            if (*spot, sign) in seen:
-                continue
-            seen.add((*spot, sign))
-            yield (spot[0], spot[1], sign) if signs[0] == "below" else (spot[1], spot[0], sign)
+            inside = min(max(place, along.low), along.high) if along is not None else place
+            yield sides[value > limits.high], inside, value
+
+
+def _points(mark: Mark) -> Iterator[tuple[float, float]]:
+    """Go through the places that a mark reaches: of each mark, each end of a bar, the peak of a line."""
+    match mark:
+        case Box():
+            yield from ((mark.at, mark.ends[0]), (mark.at, mark.ends[-1]))
+        case Line() if not mark.marked:
+            yield from _peaks(mark)
+        case Ranges():
+            for x, ends in zip(mark.x, mark.y_ends if mark.y_ends is not None else (), strict=False):
+                yield from ((float(x), float(y)) for y in ends)
+            for y, ends in zip(mark.y, mark.x_ends if mark.x_ends is not None else (), strict=False):
+                yield from ((float(x), float(y)) for x in ends)
+        case Dots() | Line():
+            bars = (mark.low, mark.high) if isinstance(mark, Line) else ()
+            for y in (mark.y, *(one for one in bars if one is not None)):
+                yield from zip(mark.x.tolist(), y.tolist(), strict=True)
 
 
 def _peaks(mark: Line) -> list[tuple[float, float]]:
-    """Return the highest place of a line: one mark tells that it leaves the axes."""
+    """Return the highest place of a line: one arrow tells that it leaves the axes."""
     known = np.flatnonzero(~np.isnan(mark.y))
     if not len(known):
         return []
@@ -539,12 +729,15 @@ def _peaks(mark: Line) -> list[tuple[float, float]]:
     return [(float(mark.x[top]), float(mark.y[top]))]
 
 
-def shortened(text: str, most: int) -> str:
-    """Return a text without its middle where it is long: names often differ at their ends."""
-    if len(text) <= most:
-        return text
-    end = (most - 1) // 2
-    return f"{text[: most - 1 - end].rstrip()}…{text[len(text) - end :].lstrip()}"
+def told_apart(texts: Sequence[str], most: int) -> list[str]:
+    """Return texts of at most some length, long ones without the beginning that all of them share."""
+    found = [shortened(text, most) for text in texts]
+    if len(set(found)) == len(set(texts)):
+        return found
+    long = [text for text, short in zip(texts, found, strict=True) if text != short]
+    same = sum(1 for _ in takewhile(lambda letters: len(set(letters)) == 1, zip(*long, strict=False)))
+    cut = [f"…{text[same:]}" if text in long else text for text in texts]
+    return [shortened(text, most) for text in cut]
 
 
 def _wrapped(text: str, inches: float, points: float) -> str:
@@ -555,5 +748,8 @@ def _wrapped(text: str, inches: float, points: float) -> str:
 def _number(value: float, _: int | None = None) -> str:
     """Return a number beside an axis."""
     if value and not 1e-4 <= abs(value) < 1e6:
-        return f"{value:.3g}"
+        mantissa, power = f"{value:.2e}".split("e")
+        mantissa = mantissa.rstrip("0").rstrip(".")
+        power = f"10{str(int(power)).translate(_RAISED)}"
+        return power if mantissa == "1" else f"{mantissa}·{power}".replace("-", "−")
     return f"{value:.6f}".rstrip("0").rstrip(".").replace("-", "−")

@@ -12,6 +12,7 @@ import numpy as np
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.columns import sort_key
 from slamhive.analysis.grouping import Groups, aggregate, counting, sound, varies
+from slamhive.analysis.measures import CONFIGURATION, measure_of
 from slamhive.analysis.metrics import label_of
 from slamhive.analysis.pareto import pareto
 from slamhive.figures.asking import (
@@ -30,6 +31,7 @@ from slamhive.figures.pictures import Box, Dots, Line, MissingMark, Panel, Pictu
 from slamhive.model.errors import InputError
 from slamhive.reporting.markup import shown
 from slamhive.reporting.papertables import Statistic
+from slamhive.reporting.scales import MOST_TICKS
 from slamhive.reporting.titles import keys_text
 from slamhive.tables.reading import with_figure
 from slamhive.tables.text import as_columns, flat_cells
@@ -89,6 +91,7 @@ class Along:
         self.names = tuple(names)
         self._metric = metric
         self.texts: tuple[str, ...] = ()
+        self._ticks = values_tried(frame, metric) if metric is not None else ()
         if metric is None or not is_numeric(frame, metric.column):
             keys = Groups(frame, names).keys
             check_categories(field, ", ".join(names), len(keys))
@@ -98,7 +101,7 @@ class Along:
     def axis(self, log: bool | None = None) -> PictureAxis:
         """Return the axis."""
         if self._metric is not None and not self.texts:
-            return PictureAxis(self._metric.label, log, robust=False)
+            return PictureAxis(self._metric.label, log, ticks=self._ticks, robust=False)
         return PictureAxis(", ".join(label_of(name) for name in self.names), categories=self.texts)
 
     def place(self, keys: dict[str, Any]) -> float:
@@ -107,6 +110,15 @@ class Along:
             return self._places[_identity({name: keys[name] for name in self.names})]
         value = keys[self.names[0]]
         return math.nan if value is None else float(value) * self._metric.factor
+
+
+def values_tried(frame: Frame, metric: Metric) -> tuple[float, ...]:
+    """Return the values of a setting that has few, in the unit they are shown in; else nothing."""
+    if not metric.column.startswith(CONFIGURATION) or not is_numeric(frame, metric.column):
+        return ()
+    numbers = frame.column(metric.column).floats() * metric.factor
+    found = np.unique(numbers[np.isfinite(numbers)])
+    return tuple(found.tolist()) if len(found) <= MOST_TICKS else ()
 
 
 def _identity(value: Any) -> str:
@@ -142,7 +154,7 @@ def lines(frame: Frame, wish: Wish) -> Picture:
         series=series.labels,
         notes=(
             *_averaged(cells, y.column, wish.statistic),
-            *Tally.of_cells(cells).notes(wish.outcomes),
+            *Tally.of(cells).notes(wish.outcomes),
             *notes,
             *found.notes,
             *without,
@@ -226,13 +238,13 @@ def _averaged(cells: Sequence[Cell], name: str, statistic: Statistic) -> list[st
         raise nothing(name)
     ns = [summary.n for summary in summaries]
     if max(ns) == 1:
-        return ["each mark is one run"]
+        return ["each mark is one result"]
     if statistic is Statistic.MEAN:
-        return [f"each mark is the mean of {span(ns)} runs, bars are the standard deviation (n − 1)"]
+        return [f"each mark is the mean of {span(ns)} results, bars are the standard deviation (n − 1)"]
     many = any(figure.median_interval is not None for figure in figures)
     bars = "the range, from 10 runs on the 95 % interval of the median" if many else "the range"
     last = ", runs that failed behind all others" if any(figure.censored for figure in figures) else ""
-    return [f"each mark is the median of {span(ns)} runs{last}; bars are {bars}"]
+    return [f"each mark is the median of {span(ns)} results{last}; bars are {bars}"]
 
 
 def box(frame: Frame, wish: Wish) -> Picture:
@@ -266,7 +278,7 @@ def box(frame: Frame, wish: Wish) -> Picture:
         series=series.labels,
         notes=(
             *what,
-            *Tally.of_cells(found.cells).notes(wish.outcomes),
+            *Tally.of(found.cells).notes(wish.outcomes),
             *(note.replace("averaged over", "boxes hold") for note in found.notes),
             *left,
         ),
@@ -369,13 +381,15 @@ def heat(frame: Frame, wish: Wish) -> Picture:
         notes=(
             stated.replace("mark", "tile"),
             *(["×: all runs failed or were not tracked; empty: nothing was run"] if failed else []),
-            *Tally.of_cells(found.cells).notes(wish.outcomes, above=False),
+            *Tally.of(found.cells).notes(wish.outcomes, above=False),
             *found.notes,
             *left,
         ),
         columns=as_columns(flat_cells(found)),
         runs=len(parts.frame),
-        colour=PictureAxis(colour.label, wish.log.of("y"), robust=wish.robust),
+        colour=PictureAxis(
+            colour.label, wish.log.of("y"), robust=wish.robust, better=measure_of(colour.column).better
+        ),
     )
 
 
@@ -435,6 +449,8 @@ def front(frame: Frame, wish: Wish) -> Picture:
                 }
             )
             if spot not in known:
+                if math.isfinite(spot.x) and math.isinf(spot.y):
+                    marks.append(Dots(number, np.array([spot.x]) * x.factor, np.array([math.nan])))
                 continue
             place = np.array([spot.x * x.factor]), np.array([spot.y * y.factor])
             if spot.n > 1:
@@ -445,13 +461,13 @@ def front(frame: Frame, wish: Wish) -> Picture:
         panels.append(Panel(title, tuple(marks)))
     spots = [spot for one in fronts for spot in one.spots]
     worst = [spot for spot in spots if not math.isfinite(spot.y) and not math.isnan(spot.y)]
-    tally = Tally.of((spot.runs, spot.n, spot.failures) for spot in spots)
+    tally = Tally.of(spots)
     ns = [spot.n for spot in spots if spot.n]
-    what = "one run" if max(ns) == 1 else f"the median of {span(ns)} runs, bars are the range"
+    what = "one result" if max(ns) == 1 else f"the median of {span(ns)} results, bars are the range"
     stated = f"each mark is {what}; filled: none is better in both"
     lost = (
         [
-            f"{len(worst)} not drawn, as the median run failed: "
+            f"crossed above, as the median run failed, {len(worst)}: "
             + "; ".join(dict.fromkeys(keys_text(spot.keys) for spot in worst))
         ]
         if worst

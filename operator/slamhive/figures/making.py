@@ -77,7 +77,7 @@ def _published(frame: Frame, home: Home) -> Sequence[Published]:
     """Return the published numbers on datasets of the runs; few figures need them and their reader."""
     from slamhive.tables.published import load_published, published_on  # noqa: PLC0415
 
-    return published_on(frame, load_published(home.path))
+    return [one for one in published_on(frame, load_published(home.path)) if one.is_drawn]
 
 
 def form_of(path: Path) -> str:

@@ -3,19 +3,23 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.analysis.columns import sort_key
 from slamhive.analysis.grouping import Groups, counting
 from slamhive.bridges.places import Here
-from slamhive.figures.asking import FigureKind, check_panels, error_of, nothing, parted
+from slamhive.figures.asking import MOST_SERIES, FigureKind, check_panels, error_of, nothing, parted
 from slamhive.figures.groups import Series
 from slamhive.figures.pictures import Line, Panel, Picture, PictureAxis
 from slamhive.model.errors import InputError
 from slamhive.model.results import MemoryKind
+from slamhive.reporting.questions import is_setting, varied
+from slamhive.reporting.titles import keys_text
 from slamhive.runfiles.clocks import clock_of, configuration_of
 from slamhive.runfiles.errors import RunFileError
 from slamhive.runfiles.trajectories import drawn, extrinsic_of, read_poses, usage_columns
@@ -34,6 +38,7 @@ if TYPE_CHECKING:
     from slamhive.tables.homes import Beside
 
     Rows = dict[str, Floats]
+    _Group = tuple[int, int, dict[str, Any], Frame, Indices]
 
 MOST_RUNS = 100
 """Runs whose files are read for a figure."""
@@ -143,7 +148,7 @@ class ChosenRun:
 
     Attributes:
         panel, series: where, and as what.
-        keys: what panel and series are.
+        keys: what panel and series are, and its settings.
         frame, row: the run.
     """
 
@@ -157,18 +162,27 @@ class ChosenRun:
 def paths(frame: Frame, wish: Wish, home: Home, also: Sequence[Beside] = ()) -> Picture:
     """Return lines of runs' files: of each series the run of median error, or every run."""
     reader = _READERS[wish.kind](wish)
-    by, facet = wish.series(frame, ("dataset",)), wish.columns("facet", (), frame)
+    facet = wish.columns("facet", (), frame)
+    by = _told(frame, wish, facet)
     facet = tuple(dict.fromkeys([*facet, *(("dataset",) if "dataset" not in by else ())]))
     parts = parted(frame, facet, by, ("usage.",) if wish.kind is FigureKind.USAGE else ())
     varying = [name for name in parts.names if len({repr(keys[name]) for keys, _ in parts.panels}) > 1]
     check_panels(len(parts.panels), varying, parts.frame, wish.facet)
     series = Series(by, parts.frame)
-    chosen = [
-        ChosenRun(panel, series.of(values), keys | values, part, row)
+    groups = [
+        (panel, series.of(values), keys | values, part, rows[counting(part, wish.outcomes)[rows]])
         for panel, (keys, part) in enumerate(parts.panels)
         for rows, values in _groups(part, by)
-        for row in _chosen(part, rows, wish)
     ]
+    settings = _SettingsTried(parts.frame, [*parts.names, *by], groups)
+    chosen = [
+        ChosenRun(panel, number, keys | settings.of(part, row), part, row)
+        for panel, number, keys, part, rows in groups
+        for row in (rows.tolist() if wish.each else _median(part, rows, settings))
+    ]
+    copies: list[ChosenRun] = []
+    if wish.each and wish.kind is not FigureKind.USAGE:
+        chosen, copies = _without_copies(chosen)
     if not chosen:
         raise nothing("a path" if wish.kind is not FigureKind.USAGE else "usage")
     if len(chosen) > MOST_RUNS:
@@ -178,7 +192,7 @@ def paths(frame: Frame, wish: Wish, home: Home, also: Sequence[Beside] = ()) -> 
         )
     lines = _Lines()
     for choice, found in zip(chosen, _located(chosen, home, also), strict=True):
-        lines.read(found, choice, reader, thin=wish.each)
+        lines.read(found, choice, reader, thin=len(chosen) > MOST_SERIES)
     if not lines.runs:
         raise InputError(f"no run has files here to draw: {lines.missing[0]}")
     panels = []
@@ -188,6 +202,9 @@ def paths(frame: Frame, wish: Wish, home: Home, also: Sequence[Beside] = ()) -> 
             title = parts.title({name: keys[name] for name in varying})
             panels.append(Panel(title, (*truth, *lines.drawn[number])))
     lost = [f"{len(lines.missing)} of them not drawn: {lines.missing[0]}"] if lines.missing else []
+    told = {} if wish.each else settings.told(chosen)
+    count = sum(len(rows) for *_, rows in groups)
+    stated = _each(chosen, copies, settings) if wish.each else _stated(count, chosen, settings)
     datasets = {repr(choice.keys.get("dataset")) for choice in chosen}
     is_path = wish.kind is FigureKind.TRAJECTORIES
     return Picture(
@@ -198,14 +215,85 @@ def paths(frame: Frame, wish: Wish, home: Home, also: Sequence[Beside] = ()) -> 
             robust=wish.robust and wish.kind is FigureKind.ERROR_OVER_TIME,
         ),
         panels=tuple(panels),
-        series=series.labels,
-        notes=(_stated(wish, parts.frame, chosen), *lost, *dict.fromkeys(lines.notes)),
+        series=tuple(
+            ", ".join(filter(None, [label, told.get(number, "")]))
+            for number, label in enumerate(series.labels)
+        ),
+        notes=(*stated, *lost, *dict.fromkeys(lines.notes)),
         columns=lines.columns,
         runs=lines.runs,
         equal=is_path,
         apart=is_path and len(datasets) > 1,
         truth=bool(lines.truths),
+        shared="" if wish.each else settings.shared(chosen),
     )
+
+
+class _SettingsTried:
+    """Settings that runs differ in beyond what tells series and panels apart.
+
+    Args:
+        frame: all runs.
+        names: columns that tell series and panels apart.
+        groups: panel, series, keys, frame and rows that count of each series of a panel.
+    """
+
+    def __init__(self, frame: Frame, names: Sequence[str], groups: Sequence[_Group]) -> None:
+        self.names = [name for name in _settings(frame) if name not in names]
+        order: dict[str, Any] = {}
+        counts = []
+        for *_, part, rows in groups:
+            found = {row: self.text(part, row) for row in rows.tolist()}
+            for row, text in found.items():
+                order[text] = [sort_key(value) for value in self.of(part, row).values()]
+            counts += [Counter(found.values())] if found else []
+        common = set(counts[0]).intersection(*counts[1:]) if counts else set()
+        # That which most runs have; of several the first.
+        ranked = sorted(common, key=lambda text: (-sum(count[text] for count in counts), order[text]))
+        self.common = ranked[0] if ranked else None
+        self.several = len(set().union(*counts)) if counts else 0
+
+    def of(self, part: Frame, row: int) -> dict[str, Any]:
+        """Return the settings of a run."""
+        return part.row(row, self.names) if self.names else {}
+
+    def text(self, part: Frame, row: int) -> str:
+        """Return the settings of a run in words, without those that its algorithm doesn't have."""
+        return keys_text({name: value for name, value in self.of(part, row).items() if value is not None})
+
+    def shared(self, chosen: Sequence[ChosenRun]) -> str:
+        """Return the settings of all runs that are drawn where they are equal, and others were tried."""
+        texts = {self.text(choice.frame, choice.row) for choice in chosen}
+        return texts.pop() if len(texts) == 1 and self.several > 1 else ""
+
+    def told(self, chosen: Sequence[ChosenRun]) -> dict[int, str]:
+        """Return the settings of each series whose runs have the same in all panels, where series differ."""
+        found: dict[int, set[str]] = {}
+        for choice in chosen:
+            found.setdefault(choice.series, set()).add(self.text(choice.frame, choice.row))
+        if self.shared(chosen):
+            return {}
+        return {number: min(texts) for number, texts in found.items() if len(texts) == 1}
+
+
+def _settings(frame: Frame) -> list[str]:
+    """Return the settings that differ between runs of an algorithm, and what algorithms were fed unequally.
+
+    Parameters that each algorithm has at one value say nothing that its name doesn't.
+    """
+    within = [name for name in varied(frame) if not name.startswith("dataset.")]
+    fed = (name for name in frame.stored if name.startswith("input.") and is_setting(name))
+    known = (name for name in fed if len(set(frame.column(name).factorized()[1]) - {None}) > 1)
+    return list(dict.fromkeys([*within, *known]))
+
+
+def _told(frame: Frame, wish: Wish, facet: Sequence[str]) -> tuple[str, ...]:
+    """Return the columns that tell series apart: of every run also its settings, if they are not too many."""
+    by = wish.series(frame, ("dataset",))
+    if not wish.each or wish.by is not None:
+        return by
+    whole = (*by, *(name for name in _settings(frame) if name not in {*by, *facet}))
+    return whole if len(Groups(frame, whole).keys) <= MOST_SERIES else by
 
 
 def _groups(part: Frame, by: tuple[str, ...]) -> Iterator[tuple[Indices, dict[str, Any]]]:
@@ -213,27 +301,56 @@ def _groups(part: Frame, by: tuple[str, ...]) -> Iterator[tuple[Indices, dict[st
     return zip(groups.members(), groups.keys, strict=True)
 
 
-def _chosen(part: Frame, rows: Indices, wish: Wish) -> list[int]:
-    """Return the rows of a series that are drawn: all that count, or the one of (lower) median error."""
-    counted = rows[counting(part, wish.outcomes)[rows]]
-    if wish.each or len(counted) < 2:
-        return [int(row) for row in counted]
-    errors = part.column(error_of(part)).floats()[counted]
+def _median(part: Frame, rows: Indices, settings: _SettingsTried) -> list[int]:
+    """Return the row of (lower) median error: of those with the settings that all series have, if any."""
+    if settings.common is not None:
+        rows = rows[[settings.text(part, row) == settings.common for row in rows.tolist()]]
+    if len(rows) < 2:
+        return [int(row) for row in rows]
+    errors = part.column(error_of(part)).floats()[rows]
     order = np.argsort(errors, kind="stable")  # NaN last
     known = int((~np.isnan(errors)).sum()) or len(order)
-    return [int(counted[order[(known - 1) // 2]])]
+    return [int(rows[order[(known - 1) // 2]])]
 
 
-def _stated(wish: Wish, frame: Frame, chosen: list[ChosenRun]) -> str:
-    count = int(counting(frame, wish.outcomes).sum())
-    if wish.each:
-        return f"each line is one of {len(chosen)} runs"
+def _without_copies(chosen: Sequence[ChosenRun]) -> tuple[list[ChosenRun], list[ChosenRun]]:
+    """Return the runs without those whose trajectory another of their panel has, and these."""
+    seen: set[tuple[int, str]] = set()
+    kept: list[ChosenRun] = []
+    copies: list[ChosenRun] = []
+    for choice in chosen:
+        sha256 = choice.frame.row(choice.row, ("trajectory.sha256",))["trajectory.sha256"]
+        known = sha256 is not None and (choice.panel, sha256) in seen
+        (copies if known else kept).append(choice)
+        seen.add((choice.panel, str(sha256)))
+    return kept, copies
+
+
+def _each(chosen: Sequence[ChosenRun], copies: Sequence[ChosenRun], settings: _SettingsTried) -> list[str]:
+    """Say which lines there are, and which are not told apart."""
+    said = [f"each line is one of {len(chosen)} runs"]
+    if copies:
+        said.append(f"{len(copies)} more have the same trajectory as one of them")
+    looks = {(choice.panel, choice.series) for choice in chosen}
+    lost = {keys_text(one.keys) for one in copies if (one.panel, one.series) not in looks}
+    if lost:
+        said.append(f"no line of its own, as it would be the same: {'; '.join(sorted(lost))}")
+    if len({(one.panel, one.series, settings.text(one.frame, one.row)) for one in chosen}) > len(looks):
+        said.append("runs of a series differ in settings: --by tells them apart")
+    return said
+
+
+def _stated(count: int, chosen: Sequence[ChosenRun], settings: _SettingsTried) -> list[str]:
+    """Say which runs the lines are, of those that count."""
     if len(chosen) == count:
-        return "each line is one run, the only one of its series"
-    return (
-        f"each line is one run: of the {count} runs that count, the one of median error of each series and "
-        "panel; --each draws all"
-    )
+        return ["each line is one run, the only one of its series"]
+    what = f"each line is one run, of {count} that count the one of median error of each series and panel"
+    if shared := settings.shared(chosen):
+        which = f"one of {settings.several} settings that ran; --where chooses others, --each draws all"
+        return [f"{what} with {shared}, {which}"]
+    texts = {keys_text(choice.keys) for choice in chosen}
+    named = [f"they are {'; '.join(sorted(texts))}"] if settings.several > 1 else []
+    return [f"{what}; --each draws all", *named]
 
 
 def _located(chosen: list[ChosenRun], home: Home, also: Sequence[Beside]) -> Iterator[Found | str]:

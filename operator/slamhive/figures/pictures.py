@@ -6,13 +6,14 @@ Each kind of figure makes one; ``drawing`` turns it into matplotlib's objects an
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.limits import Limits, is_steep, robust_limits
+from slamhive.analysis.limits import GAIN, STEEP, Limits, robust_limits
+from slamhive.analysis.measures import Better
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -32,17 +33,21 @@ class PictureAxis:
         label: its name, with a unit where it has one.
         log: whether it is logarithmic; None where the numbers are to say.
         categories: texts at 0, 1, 2, …; empty where numbers stand along it.
+        ticks: numbers that are written beside it, such as the few values of a setting; empty for round ones.
         robust: whether a few numbers far out may be left outside.
         ends: the numbers at its ends, whatever is drawn; None where the marks say.
         limits: what it holds, once that is known.
+        better: which numbers are good; large ones are light then, where it is colours.
     """
 
     label: str
     log: bool | None = None
     categories: tuple[str, ...] = ()
+    ticks: tuple[float, ...] = ()
     robust: bool = True
     ends: tuple[float, float] | None = None
     limits: Limits | None = None
+    better: Better = Better.NONE
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +56,7 @@ class Dots:
 
     Attributes:
         series: number of their series.
-        x, y: (n,).
+        x, y: (n,); a y of NaN is a run that failed, whose cross stands in a field above the others.
         hollow: those that are drawn without filling, (n,).
         small: whether they stand beside something that says more.
     """
@@ -147,7 +152,7 @@ class Tiles:
 
 @dataclass(frozen=True)
 class MissingMark:
-    """A number of runs without a figure, written above their place."""
+    """A number of runs without a figure, written in a field above the axes, at their place."""
 
     series: int
     at: float
@@ -180,6 +185,8 @@ class Picture:
         equal: whether a metre is as long along y as along x.
         apart: whether each panel has limits of its own: places of different datasets have nothing in common.
         rows: height in lines of text instead of the usual one; 0 for that.
+        truth: whether the lines of no series are ground truth.
+        shared: what all series have in common, over the legend.
     """
 
     x: PictureAxis
@@ -193,24 +200,28 @@ class Picture:
     equal: bool = False
     apart: bool = False
     rows: int = 0
-    truth: bool = field(default=False)
+    truth: bool = False
+    shared: str = ""
 
     def settled(self) -> Picture:
         """Return the picture with limits on its axes, and a sentence on what lies outside of them."""
         picture = self._renumbered()
         marks = [mark for panel in picture.panels for mark in panel.marks]
-        x = _settled(self.x, (numbers for mark in marks for numbers in _numbers(mark, "x")))
-        y = _settled(self.y, (numbers for mark in marks for numbers in _numbers(mark, "y")))
+        x, y = (
+            _settled(
+                axis,
+                [numbers for mark in marks for numbers in _numbers(mark, side)],
+                [numbers for mark in marks for numbers in _middles(mark, side)],
+            )
+            for side, axis in (("x", self.x), ("y", self.y))
+        )
         tiles = [mark.values.ravel() for mark in marks if isinstance(mark, Tiles)]
         colour = self.colour and _settled(self.colour, tiles)
         notes = list(self.notes)
-        for axis, numbers in (
-            (x, [one for mark in marks for one in _numbers(mark, "x", seen=True)]),
-            (y, [one for mark in marks for one in _numbers(mark, "y", seen=True)]),
-            (colour, tiles),
-        ):
+        for axis, side in ((x, "x"), (y, "y"), (colour, "")):
             if axis is not None and axis.limits is not None and axis.limits.outside:
-                notes += _outside(axis, numbers, scale=axis is colour)
+                numbers = [one for mark in marks for one in _numbers(mark, side)] if side else tiles
+                notes += _outside(axis, numbers, scale=not side)
         return replace(picture, x=x, y=y, colour=colour, notes=tuple(notes))
 
     def _renumbered(self) -> Picture:
@@ -233,63 +244,80 @@ class Picture:
         return replace(self, panels=panels, series=tuple(self.series[number] for number in used))
 
 
-def _settled(axis: PictureAxis, numbers: Iterable[Floats]) -> PictureAxis:
-    if axis.categories:
-        return replace(axis, log=False, limits=Limits(0.0, float(len(axis.categories) - 1)))
-    drawn = np.concatenate([np.empty(0), *(np.ravel(part) for part in numbers)])
-    log = is_steep(drawn) if axis.log is None else axis.log
-    if axis.ends is not None:
-        return replace(axis, log=log, limits=Limits(*axis.ends))
-    if axis.robust:
-        return replace(axis, log=log, limits=robust_limits(drawn, log=log))
-    drawn = drawn[np.isfinite(drawn) & ((drawn > 0) | (not log))]
-    ends = Limits(float(drawn.min()), float(drawn.max())) if len(drawn) else None
-    return replace(axis, log=log, limits=ends)
-
-
-def _numbers(mark: Mark, side: str, *, seen: bool = False) -> Sequence[Floats]:
-    """Return the numbers that a mark needs room for along one side.
+def _settled(axis: PictureAxis, numbers: Iterable[Floats], middles: Sequence[Floats] = ()) -> PictureAxis:
+    """Return an axis with limits.
 
     Args:
-        mark: the mark.
-        side: x or y.
-        seen: whether only what has a mark of its own is meant, not the ends of bars nor ways between.
+        axis: as it was asked for.
+        numbers: all that is drawn along it.
+        middles: those of them that stand for several runs, and never lie outside.
     """
+    if axis.categories:
+        return replace(axis, log=False, limits=Limits(0.0, float(len(axis.categories) - 1)))
+    drawn, kept = (
+        np.concatenate([np.empty(0), *(np.ravel(part) for part in parts)]) for parts in (numbers, middles)
+    )
+    drawn = drawn[np.isfinite(drawn)]
+    log = axis.log
+    if log is None:
+        plain = _limits(drawn, kept, robust=axis.robust, log=False)
+        log = plain is not None and bool((drawn > 0).all()) and plain.high > STEEP * plain.low
+    if axis.ends is not None:
+        return replace(axis, log=log, limits=Limits(*axis.ends))
+    return replace(axis, log=log, limits=_limits(drawn, kept, robust=axis.robust, log=log))
+
+
+def _limits(drawn: Floats, kept: Floats, *, robust: bool, log: bool) -> Limits | None:
+    """Return the limits of an axis over finite numbers, with the count of those outside; None for none."""
+    inside = drawn[(drawn > 0) | (not log)]
+    found = robust_limits(inside, log=log)
+    if found is None:
+        return None
+    low, high = float(inside.min()), float(inside.max())
+    if robust:
+        middles = kept[np.isfinite(kept) & ((kept > 0) | (not log))]
+        near, far = min([found.low, *middles.tolist()]), max([found.high, *middles.tolist()])
+        ends = np.log([near, far, low, high]) if log else (near, far, low, high)
+        if ends[3] - ends[2] >= GAIN * (ends[1] - ends[0]):
+            low, high = near, far
+    return Limits(low, high, int((drawn < low).sum()), int((drawn > high).sum()))
+
+
+def _numbers(mark: Mark, side: str) -> Sequence[Floats]:
+    """Return the numbers that a mark needs room for along one side."""
     found: list[Floats | None] = []
     if isinstance(mark, MissingMark | Box):
         found = [np.array([mark.at])] if side == "x" else [mark.values] if isinstance(mark, Box) else []
     elif isinstance(mark, Dots | Line):
         found = [mark.x if side == "x" else mark.y]
-        if isinstance(mark, Line):
-            found = (
-                [] if seen and not mark.marked else [*found, *((mark.low, mark.high) if side == "y" else ())]
-            )
-            found = found[:1] if seen else found
-    elif isinstance(mark, Ranges) and not seen:
+        if isinstance(mark, Line) and side == "y":
+            found += [mark.low, mark.high]
+    elif isinstance(mark, Ranges):
         found = [mark.x_ends if side == "x" else mark.y_ends]
     return [part for part in found if part is not None]
+
+
+def _middles(mark: Mark, side: str) -> Sequence[Floats]:
+    """Return the numbers of a mark that stand for several runs."""
+    if isinstance(mark, Ranges) or (isinstance(mark, Line) and mark.marked):
+        return [mark.x if side == "x" else mark.y]
+    return [np.array(mark.ends[1:4])] if isinstance(mark, Box) and side == "y" else []
 
 
 def _outside(axis: PictureAxis, numbers: Sequence[Floats], *, scale: bool) -> list[str]:
     """Say which numbers lie outside of an axis: each of a few."""
     limits = axis.limits
     assert limits is not None  # noqa: S101 - the caller looked
-    drawn = np.unique(np.concatenate([np.empty(0), *numbers]))
+    drawn = np.unique(np.concatenate([np.empty(0), *(np.ravel(part) for part in numbers)]))
     found = drawn[((drawn < limits.low) | (drawn > limits.high)) & np.isfinite(drawn)].tolist()
-    if not found:
-        return [f"{axis.label}: lines leave the axis, which an arrowhead at its edge marks"]
     if len(found) <= _MOST_TOLD:
         what = ", ".join(format(number, ".3g") for number in found)
     else:
-        what = f"{len(found)} numbers from {found[0]:.3g} to {found[-1]:.3g}"
-    many = len(found) > 1
-    how = "have the colour of its end" if many else "has the colour of its end"
-    how = (
-        how
+        what = f"{len(found):,} numbers from {found[0]:.3g} to {found[-1]:.3g}"
+    verbs = ("lie", "have", "are") if len(found) > 1 else ("lies", "has", "is")
+    where, how = (
+        ("scale", f"{verbs[1]} the colour of its end")
         if scale
-        else "are marked by arrowheads at its edge"
-        if many
-        else "is marked by an arrowhead at its edge"
+        else ("axis", f"{verbs[2]} told by arrows at its edge")
     )
-    lies, where = "lie" if many else "lies", "scale" if scale else "axis"
-    return [f"{axis.label}: {what} {lies} outside of the {where} and {how}"]
+    return [f"{axis.label}: {what} {verbs[0]} outside of the {where} and {how}"]

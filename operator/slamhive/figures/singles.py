@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.grouping import SUBJECT, Groups, Outcomes, disturbance_notes, tally
+from slamhive.analysis.grouping import SUBJECT, Groups, Outcomes, disturbance_notes, tally, worst
 from slamhive.analysis.limits import is_steep, robust_limits
 from slamhive.analysis.ranking import Ranking
 from slamhive.analysis.repeating import repeatability
 from slamhive.figures.asking import check_panels, cost_of, error_of, nothing, parted
 from slamhive.figures.counts import Tally
-from slamhive.figures.groups import Series, _runs, counts
+from slamhive.figures.groups import Series, _runs, counts, values_tried
 from slamhive.figures.pictures import Dots, Line, Panel, Picture, PictureAxis, Ranges
 from slamhive.model.errors import InputError
 from slamhive.model.results import Outcome
@@ -33,14 +33,14 @@ MOST_ROWS = 40
 """Configurations of which the repetitions are drawn, at most."""
 
 
-def _tally(frame: Frame, inside: Mask) -> Tally:
+def _tally(frame: Frame, inside: Mask, copies: int = 0) -> Tally:
     """Count the runs that are drawn, and what became of the others."""
     status = frame.column("status")
     left = tally(status.values, status.codes[~inside])
     good = left.pop(Outcome.TRACKED.value, 0)
     if good:
         left["without these numbers"] = good
-    return Tally(len(frame), int(inside.sum()), left)
+    return Tally(len(frame), int(inside.sum()) - copies, copies, left)
 
 
 def scatter(frame: Frame, wish: Wish, beside: Sequence[Published] = ()) -> Picture:
@@ -60,9 +60,11 @@ def scatter(frame: Frame, wish: Wish, beside: Sequence[Published] = ()) -> Pictu
     series = Series(by, parts.frame)
     both = [one for one in beside if x.column in one.values and y.column in one.values]
     sources = ", ".join(dict.fromkeys(one.where for one in both))
-    panels = []
+    panels, crossed = [], 0
     for keys, part in parts.panels:
         inside = counts(part, x, wish) & counts(part, y, wish)
+        failed = worst(part, y.column, wish.outcomes) & ~inside & np.isfinite(part.column(x.column).floats())
+        crossed += int(failed.sum())
         groups = Groups(part, by)
         marks = []
         for rows, values in zip(groups.members(), groups.keys, strict=True):
@@ -70,8 +72,11 @@ def scatter(frame: Frame, wish: Wish, beside: Sequence[Published] = ()) -> Pictu
             across, up = (part.column(metric.column).floats()[drawn] * metric.factor for metric in (x, y))
             status = part.select(drawn).column("status").tolist()
             hollow = tuple(word != Outcome.TRACKED.value for word in status)
-            if len(drawn):
-                marks.append(Dots(series.of(values), across, up, hollow))
+            lost = rows[failed[rows]]
+            if len(drawn) or len(lost):
+                at = part.column(x.column).floats()[lost] * x.factor
+                across, up = np.append(across, at), np.append(up, np.full(len(lost), np.nan))
+                marks.append(Dots(series.of(values), across, up, (*hollow, *(False,) * len(lost))))
         datasets = set(part.column("dataset").tolist())
         apart = [one for one in both if one.dataset in datasets]
         if marks and apart:
@@ -83,12 +88,18 @@ def scatter(frame: Frame, wish: Wish, beside: Sequence[Published] = ()) -> Pictu
         raise nothing(f"both {x.column} and {y.column}")
     untracked = ["hollow: runs that were not tracked"] if wish.outcomes is Outcomes.ALL else []
     return Picture(
-        x=PictureAxis(x.label, wish.log.of("x"), robust=wish.robust),
-        y=PictureAxis(y.label, wish.log.of("y"), robust=wish.robust),
+        x=PictureAxis(
+            x.label_among([y.column]),
+            wish.log.of("x"),
+            ticks=values_tried(parts.frame, x),
+            robust=wish.robust,
+        ),
+        y=PictureAxis(y.label_among([x.column]), wish.log.of("y"), robust=wish.robust),
         panels=tuple(panel for panel in panels if panel.marks),
         series=(*series.labels, "published"),
         notes=(
             "each mark is one run",
+            *([f"crosses above: {crossed:,} runs that failed, at their place along x"] if crossed else []),
             *([f"published are {len(both)} hollow marks, from {sources}"] if both else []),
             *untracked,
             *_tally(parts.frame, inside).notes(wish.outcomes, above=False),
@@ -131,13 +142,13 @@ def ecdf(frame: Frame, wish: Wish) -> Picture:
     limits = robust_limits(every, log=bool(log)) if wish.robust else None
     ends = (limits.low, limits.high) if limits is not None else (float(every.min()), float(every.max()))
     end = max(sign * ends[0], sign * ends[1])
-    panels, rows = [], []
+    panels, rows, copies = [], [], 0
     for keys, part in parts.panels:
         marks = []
         groups = Groups(part, by)
         ranking = Ranking(part, x.column, wish.outcomes)
-        for members, values in zip(groups.members(), groups.keys, strict=True):
-            ranked = ranking.of(members)
+        for ranked, values in zip(ranking.each(groups), groups.keys, strict=True):
+            copies += ranked.copies
             if not ranked.n:
                 continue
             found, share = ranked.values * x.factor, ranked.shares
@@ -168,7 +179,7 @@ def ecdf(frame: Frame, wish: Wish) -> Picture:
             f"{stated}; runs that failed are in the whole, so that a line may end below 1"
             if failed
             else stated,
-            *_tally(parts.frame, inside).notes(wish.outcomes, above=False),
+            *_tally(parts.frame, inside, copies).notes(wish.outcomes, above=False),
             *apart,
             *left,
         ),
@@ -239,7 +250,7 @@ def repetitions(frame: Frame, wish: Wish) -> Picture:
         series=tuple(kinds),
         notes=(
             "each mark is one repetition, equal trajectories (n =) counted once; the bar is their median",
-            *Tally.of_cells(cells).notes(wish.outcomes, above=False),
+            *Tally.of(cells).notes(wish.outcomes, above=False),
             *more,
             *notes,
             *left,

@@ -8,8 +8,8 @@ from typing import Any
 
 from slamhive.model.base import Choice
 
-COLOURS = ("#0072b2", "#e69f00", "#000000", "#56b4e9", "#009e73", "#cc79a7", "#d55e00")
-"""Okabe and Ito 2008: distinct for colour-blind eyes; ordered so that neighbours differ as greys too."""
+COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9", "#000000")
+"""Okabe and Ito 2008, as on pages and in reports: for colour-blind eyes; neighbours differ as greys too."""
 
 MARKS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "h", "*", "p")
 _SIZES = (1.0, 0.95, 1.1, 0.9, 1.1, 1.25, 1.25, 1.1, 1.1, 1.15, 1.7, 1.2)
@@ -27,8 +27,8 @@ HATCHES = ("", "////", "....", "xxxx", "\\\\\\\\", "----", "oo")
 ASIDE = "#8c8c8c"
 """Of what is no series: ground truth, a front."""
 
-SCALE = "cividis"
-"""Of heat maps: made for colour-blind eyes, and its grey goes steadily from dark to light."""
+SCALE = ("#d6c35d", "#aa9f71", "#7d7c78", "#535b6d", "#243c6e")
+"""Of heat maps, dark is worse: cividis without its ends, for colour-blind eyes too, as on all pages."""
 
 
 @dataclass(frozen=True)

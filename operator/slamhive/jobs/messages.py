@@ -33,8 +33,8 @@ def described(description: Mapping[str, Any]) -> str:
     """Return the termination message that carries a variant's description.
 
     What doesn't fit goes in this order: values of sensors that are the language's defaults, poses that are
-    said twice, digits beyond the twelfth, free attributes, poses of sensors that the variant doesn't hold.
-    Nothing of the first three is needed to configure or to measure a run.
+    said twice, digits beyond the twelfth, what may be why programs fail, free attributes, poses of sensors
+    that the variant doesn't hold. Nothing of the first four is needed to configure or to measure a run.
 
     Args:
         description: plain JSON values, ``sensors`` as `SensorView` writes them.
@@ -69,6 +69,8 @@ def _shorter_and_shorter(description: Mapping[str, Any]) -> Iterator[dict[str, A
     # The window decides which poses count: it keeps its digits.
     window = {key: found[key] for key in ("startTime", "durationSeconds")}
     found = _rounded(found) | window
+    yield found | {"extrinsics": _rounded(others)}
+    found.pop("suspicion", None)
     yield found | {"extrinsics": _rounded(others)}
     found.pop("attributes", None)
     yield found | {"extrinsics": _rounded(others)}

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.data.files.fetching import fetch, require_sha256
+from slamhive.data.inspecting.known import FINDINGS, looked_at, require_possible, sensors_used
 from slamhive.data.making.preparation import prepare
 from slamhive.data.recordings.entries import dataset_sha256
 from slamhive.data.recordings.version import VERSION
@@ -26,7 +27,7 @@ from slamhive.jobs.program import Refused, arguments, parse, read_request, run_p
 from slamhive.jobs.requests import PrepareRequest
 from slamhive.model.errors import DataError
 from slamhive.model.results import Reason
-from slamhive.model.variant import VariantDescription
+from slamhive.model.variant import SUSPICION_LENGTH, VariantDescription, open_codes, suspicion
 from slamhive_eval import Trajectory
 
 if TYPE_CHECKING:
@@ -54,6 +55,9 @@ def _work(root: Path) -> str:
     dataset, folder = request.dataset, data / "datasets" / request.dataset.name
     _require_files(dataset, folder)
     entry = materialise(dataset, folder, data / "generated", _teller(_making(dataset)))
+    found = looked_at(entry, data / "generated" / FINDINGS)
+    sensors = sensors_used(entry.dataset.spec, request.roles, request.input.remap)
+    require_possible(entry, found, sensors)
     for asset in request.assets:
         _place(asset, data / "assets")
     variant = prepare(
@@ -64,7 +68,10 @@ def _work(root: Path) -> str:
     cache = data / "generated" / "truths"
     truth = ground_truth(entry, cache)
     place_truth(entry, truth, data / "groundtruth", cache)
-    return described(_describe(entry, variant, truth, data / "variants" / ".hashes").as_json())
+    description = _describe(entry, variant, truth, data / "variants" / ".hashes")
+    why = suspicion(found, sensors)
+    told = description.replace(findings=open_codes(found, sensors), suspicion=why and why[:SUSPICION_LENGTH])
+    return described(told.as_json())
 
 
 def _making(dataset: Dataset) -> str:

@@ -8,6 +8,7 @@ import signal as signals
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from slamhive.contract.lines import is_report
 from slamhive.engine import AttemptEnd
 from slamhive.kube.api.kinds import Label, Role, labels_of, owner_uids
 from slamhive.kube.reports import clean, last_line, moment, tail
@@ -100,6 +101,8 @@ class Ending:
         else:
             what = f"exit code {self.exit_code}"
         line = last_line(self.log)
+        if self.signal is not None and is_report(line):
+            return what
         return f"{what}: {line}" if line else what
 
 

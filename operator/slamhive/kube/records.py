@@ -7,6 +7,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.measuring import intended_evaluations
+from slamhive.archive.remarks import Remarks
 from slamhive.kube.api.kinds import Kind, Label, annotations_of, labels_of, owners_of
 from slamhive.kube.status import result_of
 from slamhive.model.base import GROUP
@@ -49,6 +50,7 @@ def record_of(
     labels = labels_of(run)
     point = labels.get(Label.POINT)
     taken = {name: getattr(status, name) for name in _TAKEN}
+    said = Remarks.of_annotations(annotations_of(run))
     return RunRecord.model_validate(
         {name: value for name, value in taken.items() if value is not None}
         | {
@@ -69,6 +71,8 @@ def record_of(
             "started": status.start_time,
             "finished": status.completion_time,
             "results": [result_of(entry.as_json()) for entry in status.results],
+            "note": said.note,
+            "tags": list(said.tags),
         }
     )
 

@@ -22,6 +22,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from slamhive.contract.lines import telling_line
 from slamhive.contract.metrics import LARGEST_INTEGER, keep_values
 from slamhive.model.base import Model
 from slamhive.model.results import Frames, Reason, TrajectoryInfo, Usage
@@ -70,7 +71,7 @@ class Report:
         frames: frames as the algorithm counted them.
         cpu_model: the processor.
         pod: identity of the pod whose folder it was read in, where that was not known.
-        played: how playing to it ended, for a ROS 1 node.
+        played: how playing to it ended, for a ROS node.
         metrics: what the algorithm and its player say of themselves, latency for one.
     """
 
@@ -121,8 +122,7 @@ def tail(text: object, limit: int = 2048) -> str | None:
 
 def last_line(text: str | None) -> str:
     """Return the last line of a log that says something."""
-    lines = [line.strip() for line in (text or "").splitlines() if line.strip()]
-    return clean(lines[-1], 300) if lines else ""
+    return clean(telling_line(text or ""), 300)
 
 
 def read_object(text: object, limit: int = MESSAGE_BYTES) -> dict[str, Any] | None:

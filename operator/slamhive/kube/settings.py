@@ -125,6 +125,7 @@ class Settings(Model):
     image: str = Field(min_length=1)
     evaluator_image: str | None = None
     player_image: str | None = None
+    ros2_player_image: str | None = None
     image_pull_policy: PullPolicy = PullPolicy.IF_NOT_PRESENT
     volumes: Volumes
     store: StoreReference | None = None
@@ -155,6 +156,11 @@ class Settings(Model):
     def measuring_image(self) -> str:
         """Image that measures finished runs: one of its own, or the operator's."""
         return self.evaluator_image or self.image
+
+    @property
+    def player_images(self) -> dict[int, str | None]:
+        """Images that play to ROS nodes, by the ROS that these are of."""
+        return {1: self.player_image, 2: self.ros2_player_image}
 
 
 def load(path: Path) -> Settings:

@@ -20,6 +20,7 @@ from slamhive.model.base import (
     RelativePath,
     Resource,
     Scalar,
+    SettingsPath,
     Sha256,
     optional,
     worded,
@@ -27,7 +28,7 @@ from slamhive.model.base import (
 from slamhive.model.errors import InputError, UnknownNameError, suggestion
 from slamhive.model.formats import DataFormat, RecordingFormat, fitting_formats, misfit
 from slamhive.model.posefiles import PoseFile, told_files
-from slamhive.model.ros1 import Ros1
+from slamhive.model.rosnodes import Ros1, Ros2, RosNode
 from slamhive.model.sensors import ROLES, FrameOwner, Role, SensorMode
 from slamhive.model.templates import FILES_LIMIT, TEMPLATE_LIMIT, TEMPLATES_LIMIT, read_template
 
@@ -46,17 +47,6 @@ AssetName = Annotated[
         description="A path below its folder, without colon, comma, quote or line break: containers mount it."
     ),
 ]
-SettingsPath = Annotated[
-    str,
-    StringConstraints(
-        pattern=worded(
-            r"^[A-Za-z0-9_-][A-Za-z0-9._-]*(/[A-Za-z0-9_-][A-Za-z0-9._-]*)*$",
-            "expected a path below its folder: letters, digits, . _ - and /, no part that begins with a dot",
-        ),
-        max_length=255,
-    ),
-    Field(description="A path below its folder: letters, digits, . _ - and /, no part beginning with a dot."),
-]
 Topic = Annotated[str, StringConstraints(min_length=1, max_length=256)]
 TEXT_LIMIT = 16 * 1024
 """Characters of a parameter's text."""
@@ -65,10 +55,16 @@ PARAMETERS_LIMIT = 128 * 1024
 
 
 class Pace(Choice):
-    """Ways of handing a recording to an algorithm: as fast as it reads, or by the clock."""
+    """Ways of handing a recording to an algorithm: as fast as it reads, by the clock, or frame by frame."""
 
     LOCKSTEP = "Lockstep"
     REALTIME = "Realtime"
+    STEPPED = "Stepped"
+
+    @property
+    def is_played(self) -> bool:
+        """Tell whether time passes in it as it did in the recording."""
+        return self is not Pace.LOCKSTEP
 
 
 class ParameterType(Choice):
@@ -333,13 +329,20 @@ class AlgorithmSpec(Model):
     output: Output = Field(description="Meaning of its poses, and the files they are in.")
     paces: list[Pace] = Field(default_factory=lambda: [Pace.LOCKSTEP], min_length=1, description="Paces.")
     realtime: RealtimePolicy | None = optional("Queue and drop policy in real time.")
-    ros1: Ros1 | None = optional("In real time it is a ROS 1 node: how it is played to, where its poses are.")
+    ros1: Ros1 | None = optional(
+        "In the paces Realtime and Stepped it is a ROS 1 node: how it is played to, where its poses are."
+    )
+    ros2: Ros2 | None = optional(
+        "In the paces Realtime and Stepped it is a ROS 2 node: how it is played to, where its poses are."
+    )
     deterministic: Literal["Yes", "No", "Unknown"] = Field(
         default="Unknown", description="Whether equal input and seed give equal output."
     )
     seed: Literal["Ignored", "Used"] = Field(default="Ignored", description="Use that it makes of the seed.")
     includes_reader: bool = Field(
-        default=False, description="Whether its CPU time holds the reading of the recording."
+        default=False,
+        description="Whether its CPU time holds the reading of the recording, which it can't tell apart. "
+        "Otherwise its metrics.json says what reading took; where it doesn't that isn't known.",
     )
 
     @model_validator(mode="after")
@@ -355,10 +358,7 @@ class AlgorithmSpec(Model):
         self._check_files()
         if Pace.REALTIME in self.paces and self.realtime is None:
             raise ValueError("realtime: needed for the pace Realtime (queue and drop policy)")
-        if self.ros1 is not None and Pace.REALTIME not in self.paces:
-            raise ValueError("ros1: needs the pace Realtime among paces")
-        if self.ros1 is not None and self.recording != [DataFormat.ROSBAG1]:
-            raise ValueError("ros1: needs recording: [Rosbag1], which is what is played")
+        self._check_node()
         self._check_pose_files()
         for mode in self.modes:
             if mode.topics and all(form.is_folder for form in self.recording):
@@ -367,6 +367,33 @@ class AlgorithmSpec(Model):
             if not self.formats(mode):
                 raise ValueError(f"recording: {misfit(self.recording, mode.needs, f'the mode {mode.name}')}")
         return self
+
+    @property
+    def node(self) -> RosNode | None:
+        """Return the description of the ROS node that it is, None if it is none."""
+        return self.ros1 or self.ros2
+
+    def _check_node(self) -> None:
+        name = "ros1" if self.ros1 is not None else "ros2"
+        if self.node is None:
+            if Pace.STEPPED in self.paces:
+                raise ValueError("paces: Stepped is for ROS nodes alone; give ros1 or ros2, or leave it out")
+            return
+        if self.ros1 is not None and self.ros2 is not None:
+            raise ValueError("ros2: an Algorithm is a node of ROS 1 or of ROS 2; leave one of them out")
+        if not any(pace.is_played for pace in self.paces):
+            raise ValueError(f"{name}: needs the pace Realtime or Stepped among paces")
+        played = {"ros1": [DataFormat.ROSBAG1], "ros2": [DataFormat.ROSBAG2, DataFormat.MCAP]}[name]
+        if not set(self.recording) <= set(played):
+            raise ValueError(f"{name}: needs recording: [{', '.join(played)}], which is what is played")
+        if self.ros2 is None:
+            return
+        paths = [file.path for file in self.files or ()]
+        if self.ros2.parameters is not None and self.ros2.parameters not in paths:
+            known = ", ".join(paths) or "none"
+            raise ValueError(f"ros2.parameters: {self.ros2.parameters!r} is none of files; known: {known}")
+        if self.ros2.renames and self.image is not None and not self.command:
+            raise ValueError("ros2.arguments: needs command beside image, to which the arguments are added")
 
     def _check_files(self) -> None:
         paths = [file.path for file in self.files or ()]
@@ -393,19 +420,25 @@ class AlgorithmSpec(Model):
         return [(file.path, file.template) for file in self.files or ()]
 
     def _check_pose_files(self) -> None:
-        sources = [self.ros1.poses, self.ros1.keyframes] if self.ros1 is not None else []
+        name = "ros1" if self.ros1 is not None else "ros2"
+        sources = [self.node.poses, self.node.keyframes] if self.node is not None else []
         moved = any(source and source.stamp for source in sources)
         for mode in self.modes:
             output = self.output_of(mode)
             if moved and output.stamp not in (PoseStamp.SCAN_START, PoseStamp.SCAN_MID, PoseStamp.SCAN_END):
                 raise ValueError(
-                    "output.stamp: where ros1.poses.stamp says how messages are stamped, expected ScanStart, "
-                    f"ScanMid or ScanEnd in the mode {mode.name}, not {output.stamp}"
+                    f"output.stamp: where {name}.poses.stamp says how messages are stamped, expected "
+                    f"ScanStart, ScanMid or ScanEnd in the mode {mode.name}, not {output.stamp}"
                 )
-            if self.ros1 is not None and (output.trajectory or output.keyframes):
+            if self.node is not None and (output.trajectory or output.keyframes):
                 raise ValueError(
-                    "output.trajectory: a ROS 1 node's poses are those that it publishes; leave out "
-                    "trajectory and keyframes (ros1.keyframes has theirs), or ros1"
+                    "output.trajectory: a ROS node's poses are those that it publishes; leave out "
+                    f"trajectory and keyframes ({name}.keyframes has theirs), or {name}"
+                )
+            if Pace.STEPPED in self.paces and output.poses is not Poses.FRAMES:
+                raise ValueError(
+                    "paces: Stepped waits for the pose of each frame, and in the mode "
+                    f"{mode.name} output.poses is {output.poses}"
                 )
             if output.counts_frames and output.stamp is not PoseStamp.HEADER:
                 raise ValueError(
@@ -418,9 +451,9 @@ class AlgorithmSpec(Model):
         fitting = fitting_formats(self.recording, mode.needs)
         return [form for form in fitting if not (mode.topics and form.is_folder)]
 
-    def plays(self, pace: str) -> Ros1 | None:
-        """Return the ROS 1 node that a run of a pace is played to, None when it reads by itself."""
-        return self.ros1 if pace == Pace.REALTIME else None
+    def plays(self, pace: str) -> RosNode | None:
+        """Return the ROS node that a run of a pace is played to, None when it reads by itself."""
+        return self.node if Pace(pace).is_played else None
 
     def mode(self, name: SensorMode | None) -> Mode:
         """Return a mode by name, or the only one.

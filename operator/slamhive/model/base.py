@@ -7,8 +7,10 @@ import re
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, ValidationError
 from pydantic.alias_generators import to_camel
+
+from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -91,6 +93,17 @@ RelativePath = Annotated[
     StringConstraints(pattern=RELATIVE_PATH, max_length=1024),
     Field(description="A path that stays below its folder: not absolute, no . or .. in it."),
 ]
+SettingsPath = Annotated[
+    str,
+    StringConstraints(
+        pattern=worded(
+            r"^[A-Za-z0-9_-][A-Za-z0-9._-]*(/[A-Za-z0-9_-][A-Za-z0-9._-]*)*$",
+            "expected a path below its folder: letters, digits, . _ - and /, no part that begins with a dot",
+        ),
+        max_length=255,
+    ),
+    Field(description="A path below its folder: letters, digits, . _ - and /, no part beginning with a dot."),
+]
 Image = Annotated[str, StringConstraints(pattern=_IMAGE)]
 Sha256 = Annotated[str, StringConstraints(pattern=_SHA256)]
 Scalar = bool | int | float | str | None
@@ -138,6 +151,35 @@ class ObjectMeta(Model):
     annotations: dict[str, str] = Field(default_factory=dict)
 
 
+def plain_name(text: str) -> str:
+    """Return a name of an object that is made of a file's or a sequence's.
+
+    >>> plain_name("Second floor (1)"), plain_name("MH_01_easy")
+    ('second-floor-1', 'mh-01-easy')
+    """
+    return re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.")[:NAME_LIMIT].strip("-.")
+
+
+def proposal(name: object) -> str:
+    """Return the end of a sentence on a text that is no name: one like it that is; empty without any."""
+    plain = plain_name(name) if isinstance(name, str) else ""
+    return f"; try {plain}" if plain else ""
+
+
+def require_name(name: str, field: str) -> None:
+    """Refuse a text that is no name of an object, and propose one that is.
+
+    Raises:
+        InputError: it is none.
+    """
+    if len(name) > NAME_LIMIT:
+        raise InputError(f"{len(name)} characters are too many, at most {NAME_LIMIT} are allowed", field)
+    try:
+        ObjectMeta.model_validate({"name": name})
+    except ValidationError as error:
+        raise InputError(f"{explain(error.errors()[0])}, found {name!r}{proposal(name)}", field) from None
+
+
 class Reference(Model):
     """The name of another object in the same namespace."""
 
@@ -164,8 +206,25 @@ def meaning(pattern: str) -> str | None:
 
 def explain(error: ErrorDetails) -> str:
     """Return the sentence on a mistake found by pydantic, patterns put in words."""
-    pattern = error.get("ctx", {}).get("pattern")
+    context = error.get("ctx", {})
+    found = error.get("input")
+    if error["type"] == "enum" and isinstance(found, dict | list):
+        return f"takes one word{_word_among(found, str(context.get('expected')))}"
+    pattern = context.get("pattern")
     return meaning(str(pattern)) or error["msg"].removeprefix("Value error, ")
+
+
+def _word_among(found: dict[str, Any] | list[Any], expected: str) -> str:
+    """Return the word that was meant by a mapping or a list with it, or all that are known.
+
+    Args:
+        found: as in ``{mode: stereo}``.
+        expected: the known words, each in quotes.
+    """
+    known = re.findall(r"'([^']*)'", expected)
+    written = found.values() if isinstance(found, dict) else found
+    meant = [word for word in known if word in written]
+    return f", such as {meant[0]!r}" if meant else f": {expected}"
 
 
 def seconds(duration: str) -> float:

@@ -18,7 +18,7 @@ import yaml
 from pydantic import Field, ValidationError, model_validator
 
 from slamhive.model.algorithm import RelativePath
-from slamhive.model.base import HTTPS, NAME_LIMIT, Model, Scalar, Sha256, explain, optional
+from slamhive.model.base import HTTPS, Model, Scalar, Sha256, explain, optional, plain_name
 from slamhive.model.errors import InputError, ManifestError, UnknownNameError
 from slamhive.model.sensors import SensorType
 
@@ -230,15 +230,6 @@ def _has_others(family: Family, name: str, title: str, words: Mapping[str, str])
     )
 
 
-def plain_name(text: str) -> str:
-    """Return a name of an object that is made of a file's or a sequence's.
-
-    >>> plain_name("Second floor (1)")
-    'second-floor-1'
-    """
-    return re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.")[:NAME_LIMIT].strip("-.")
-
-
 def dataset_name(family: str, sequence: str) -> str:
     """Return the name of a sequence's dataset where none is chosen.
 
@@ -295,6 +286,16 @@ def find_sequence(title: str) -> CatalogueSequence:
     if family not in families:
         raise UnknownNameError("family", family, families, "catalogue")
     return families[family].sequence_of(sequence)
+
+
+def sequence_attributes(family: str, sequence: str) -> dict[str, Scalar]:
+    """Return the attributes of a sequence; none where the catalogue doesn't know it."""
+    for folder in catalogue_folders():
+        path = folder / f"{family}.yaml"
+        if "/" not in family and path.is_file():
+            found = load_family(path, path.stat().st_mtime_ns)
+            return found.attributes(sequence) if sequence in found.rows else {}
+    return {}
 
 
 @lru_cache(maxsize=256)

@@ -10,7 +10,8 @@ from pydantic import BeforeValidator, Field, model_validator
 from slamhive.model.algorithm import RecordingFormat, RelativePath
 from slamhive.model.base import CATALOGUE_TITLE, HTTPS, Choice, Model, Resource, Scalar, Sha256, optional
 from slamhive.model.errors import InputError, suggestion
-from slamhive.model.sensors import ROLE_TYPES, STAND_INS, Extrinsics, Role, Sensor, SensorType
+from slamhive.model.repair import Repair, SensorRepair
+from slamhive.model.sensors import ROLE_TYPES, ROLES, STAND_INS, Extrinsics, Role, Sensor, SensorType
 from slamhive.model.synthetic import SyntheticRecording
 from slamhive_eval.errors import OptionError
 from slamhive_eval.formats.columns import TableFormat
@@ -220,6 +221,9 @@ class DatasetSpec(Model):
         "brings its own, and where no topic of the recording is a sensor's.",
     )
     ground_truth: GroundTruth | None = Field(default=None, description="Reference poses.")
+    repair: Repair | None = optional(
+        "What the preparation changes in the recording's messages, and in the stamps of its ground truth."
+    )
     gravity_aligned: bool = Field(default=False, description="Whether the ground truth's z axis points up.")
     attributes: dict[str, Scalar] = Field(
         default_factory=dict, description="Free attributes to select and plot by, such as loops: 2."
@@ -246,6 +250,37 @@ class DatasetSpec(Model):
                 f"groundTruth.frame: unknown frame {truth.frame!r}{suggestion(truth.frame, known)}"
             )
         return self
+
+    @model_validator(mode="after")
+    def _repairs_what_it_has(self) -> Self:
+        # A generated recording, or the catalogue's, brings sensors and truth of its own.
+        is_whole = bool(self.recording.files)
+        if is_whole and (misfit := self.repair_misfit):
+            raise ValueError(misfit)
+        return self
+
+    @property
+    def repair_misfit(self) -> str | None:
+        """Return a sentence on a repair of what the dataset hasn't got; None where there is none."""
+        if self.repair is None:
+            return None
+        if self.repair.ground_truth is not None and self.ground_truth is None:
+            return "repair.groundTruth: the dataset has no ground truth"
+        return next(self.repair.misfits(self.sensors), None)
+
+    @property
+    def topic_repairs(self) -> dict[str, SensorRepair]:
+        """Return the repairs of messages by topic."""
+        return self.repair.of_topics(self.sensors) if self.repair else {}
+
+    @property
+    def told_sensors(self) -> dict[str, Sensor]:
+        """Return its sensors as its repair leaves their messages: what algorithms are told of them."""
+        repairs = self.topic_repairs
+        return {
+            name: repairs[sensor.topic].told(sensor) if sensor.topic in repairs else sensor
+            for name, sensor in self.sensors.items()
+        }
 
     @property
     def known_attributes(self) -> dict[str, Scalar]:
@@ -299,6 +334,16 @@ def fills(role: Role, types: Mapping[str, SensorType]) -> bool:
         types: kinds of the sensors by name.
     """
     return any(types.get(str(name)) is ROLE_TYPES[role] for name in STAND_INS.get(role, (role,)))
+
+
+def modes_with(name: str, sensors: Mapping[str, Sensor]) -> list[str]:
+    """Return the modes that a dataset's sensors serve and that need the sensor of a name."""
+    types = {one: sensor.type for one, sensor in sensors.items()}
+    return [
+        str(mode)
+        for mode, roles in ROLES.items()
+        if all(fills(role, types) for role in roles) and name in {sensor_for(role, sensors) for role in roles}
+    ]
 
 
 class Dataset(Resource):

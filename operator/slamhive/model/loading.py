@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from slamhive.model.algorithm import Algorithm
-from slamhive.model.base import API_VERSION, explain
+from slamhive.model.base import API_VERSION, explain, proposal
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import ManifestError, suggestion
 from slamhive.model.evaluation import Evaluation
@@ -262,6 +262,7 @@ def _sentence(document: Document, path: Path_, error: ErrorDetails, model: type[
             found = error.get("input")
             if error["type"] != "value_error" and isinstance(found, str | int | float | bool | None):
                 text += f", found {found!r}"
+            text += proposal(found) if path == _NAMES[1] else ""
     return f"{document.where(path)}: {named}: {text}" if named else f"{document.where(path)}: {text}"
 
 

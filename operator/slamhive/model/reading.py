@@ -2,7 +2,8 @@
 """Reading YAML as kubectl reads it, with errors that name the file and the line.
 
 Differences to PyYAML's own loader, each one a trap: ``1e-3`` is a number, ``10.0`` is ten, ``12:30``
-and dates are text, a key may not stand twice, and nothing but plain values can be made.
+and dates are text, a key may not stand twice, and nothing but plain values can be made. One that kubectl has
+too is refused: ``0123`` would be 83.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ _MAX_DIGITS = 400
 _INT = re.compile(
     r"^[-+]?(0b_*[01][01_]*|0o_*[0-7][0-7_]*|0x_*[0-9a-fA-F][0-9a-fA-F_]*|0[0-7_]*|[1-9][0-9_]*)$"
 )
+_ZEROS = re.compile(r"^[-+]?0[0-7_]+$")
 _FLOAT = re.compile(r"^[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$")
 _WORDS: dict[str, bool | None] = (
     dict.fromkeys(("true", "True", "TRUE", "yes", "Yes", "YES", "on", "On", "ON", "y", "Y"), True)
@@ -176,7 +178,13 @@ class _NodeReader:
         if _INT.match(text):
             if len(text) > _MAX_DIGITS:
                 raise ManifestError(f"{self.source}:{line}: an integer of {len(text)} characters")
-            return _integer(text)
+            found = _integer(text)
+            if _ZEROS.match(text) and found != int(text):
+                raise ManifestError(
+                    f"{self.source}:{line}: {text} is octal and means {found}: write {int(text)}, "
+                    f"0o{text.lstrip('+-0')} if {found} is meant, or quotes around it if it is text"
+                )
+            return found
         if _FLOAT.match(text):
             return normalize(float(text), f"{self.source}:{line}")
         if text.lower().lstrip("+-") in {".inf", ".nan"}:

@@ -19,6 +19,9 @@ NOT_EVALUATED = "not evaluated: "
 IMPORTED = "slam-hive"
 """Label `source` of runs of the original SLAM Hive, whose files stay where they were."""
 
+TAG_SEPARATOR = ", "
+"""Text between the tags of a run, where they are one text."""
+
 
 class Phase(Choice):
     """Phases of a run, from waiting to its end; for printing, derived from what happened."""
@@ -68,6 +71,18 @@ class Reason(Choice):
             Reason.PREPARATION_FAILED,
         }
 
+    @property
+    def may_come_of_input(self) -> bool:
+        """Tell whether the program ended so, of which its recording may be the cause."""
+        return self in {
+            Reason.ALGORITHM_FAILED,
+            Reason.NO_TRAJECTORY,
+            Reason.INVALID_TRAJECTORY,
+            Reason.OUT_OF_MEMORY,
+            Reason.DEADLINE_EXCEEDED,
+            Reason.OUTPUT_TOO_LARGE,
+        }
+
 
 class Outcome(Choice):
     """Verdicts of an evaluation on a run that ended well, such as tracked or lost."""
@@ -86,7 +101,7 @@ class CpuUsage(Model):
     max_cores: float | None = optional("The most cores used in any window of 1 s.")
     seconds: float | None = optional("CPU time in s, reading of the recording taken out.")
     seconds_per_data_second: float | None = optional(
-        "CPU seconds by second of recording; lockstep runs are compared by it."
+        "CPU seconds by second of recording; runs in Lockstep and Stepped are compared by it."
     )
     total_seconds: float | None = optional("CPU time in s, reading of the recording included.")
 
@@ -136,7 +151,8 @@ class Usage(Model):
     samples: int | None = optional("Number of samples that the figures rest on.")
     source: str | None = optional("Whose account it is: the container's cgroup, or its processes in /proc.")
     includes_reader: bool | None = optional(
-        "Whether reading the recording is part of the figures and can't be told apart."
+        "Whether reading the recording is part of the figures and can't be told apart; absent where that "
+        "isn't known."
     )
     max_includes_reader: bool | None = optional(
         "Whether maxCores includes the reading that was taken out elsewhere."
@@ -210,6 +226,9 @@ class Prepared(Model):
     recorded_seconds: float | None = optional(
         "Time from the first frame of the whole recording to its last, in s."
     )
+    findings: list[str] | None = optional(
+        "Codes of errors and warnings that were known of it, and of the ground truth, when it was prepared."
+    )
 
 
 class Provenance(Model):
@@ -270,6 +289,7 @@ class RunRecord(Model):
         sweep, sweep_uid: name and identity of its Sweep; versions of a Sweep share the name.
         namespace, cluster: where it ran; None on a workstation.
         evaluations: what it was meant to be measured by.
+        note, tags, noted: words of people on it, and when they were written: `archive.remarks`.
     """
 
     uid: str
@@ -298,3 +318,6 @@ class RunRecord(Model):
     provenance: Provenance = Field(default_factory=Provenance)
     folder: str | None = None
     log_tail: str | None = None
+    note: str | None = None
+    tags: list[str] = Field(default_factory=list)
+    noted: datetime | None = None

@@ -39,6 +39,11 @@ class SensorMode(Choice):
         """Tell whether the mode observes metric scale."""
         return self is not SensorMode.MONO
 
+    @property
+    def has_cameras(self) -> bool:
+        """Tell whether the mode takes images."""
+        return any(ROLE_TYPES[role] is SensorType.CAMERA for role in ROLES[self])
+
 
 class Role(Choice):
     """Roles of sensors in an algorithm's sensor modes, such as left camera, LiDAR or IMU."""

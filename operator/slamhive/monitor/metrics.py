@@ -25,13 +25,13 @@ class ReaderShare(NamedTuple):
 
     Attributes:
         cpu_seconds: What to subtract, None if nothing is known.
-        included: It can't be told apart.
+        included: It is in the figures and can't be told apart, None if nothing says so or otherwise.
         note: What was wrong with what the algorithm said.
         suspicion: Why what it said is to be doubted.
     """
 
     cpu_seconds: float | None
-    included: bool
+    included: bool | None
     note: str | None
     suspicion: str | None = None
 
@@ -55,17 +55,20 @@ class ReaderReport:
 
         Args:
             total: CPU seconds of the entire run.
-            included: What the Algorithm says where the report says nothing.
+            included: The Algorithm says that reading can't be told apart.
             measured: CPU seconds of threads that call themselves the reader, None where none does.
         """
-        included = included if self.includes_reader is None else self.includes_reader
         if self.cpu_seconds is not None and self.cpu_seconds > total:
             said = f"output/metrics.json: readerCpuSeconds {self.cpu_seconds:g}"
             wrong = f"{said} is more than all CPU seconds and was ignored"
             return ReaderShare(None, True, wrong, wrong)
-        # What was to be subtracted is not known then.
-        unknown = included or self.note is not None
-        return ReaderShare(self.cpu_seconds, unknown, self.note, self._suspicion(total, measured))
+        if self.note is not None:
+            # What was to be subtracted is not known then.
+            return ReaderShare(None, True, self.note)
+        told = included or None if self.includes_reader is None else self.includes_reader
+        if self.cpu_seconds is None:
+            return ReaderShare(0.0 if told is False else None, told, None)
+        return ReaderShare(self.cpu_seconds, bool(told), None, self._suspicion(total, measured))
 
     def _suspicion(self, total: float, measured: float | None) -> str | None:
         said = self.cpu_seconds

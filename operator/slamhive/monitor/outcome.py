@@ -8,6 +8,7 @@ import signal
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from slamhive.contract.lines import is_report
 from slamhive.monitor.summary import Reason
 
 
@@ -36,6 +37,7 @@ class ProgramEnding:
         group_oom_kills: Processes of the run's cgroup that the kernel killed for want of memory.
         machine_oom_kills: The same on the entire machine while the run ran.
         memory_limit: Bytes the run was allowed.
+        was_played: A player had played its recording to the end and then asked it to go.
     """
 
     status: int | None
@@ -44,6 +46,7 @@ class ProgramEnding:
     group_oom_kills: int = 0
     machine_oom_kills: int = 0
     memory_limit: int | None = None
+    was_played: bool = False
 
 
 class ProgramOutcome(NamedTuple):
@@ -77,10 +80,12 @@ def judge(ending: ProgramEnding) -> ProgramOutcome:
         stop = out_of_memory(ending.memory_limit if ending.group_oom_kills else None)
     if stop is not None:
         return ProgramOutcome(code, number, stop.reason, stop.message)
-    if code == 0:
-        return ProgramOutcome(0, None, None, "")
+    # Many nodes abort when they are told to go: that says nothing of their poses.
+    if code == 0 or ending.was_played:
+        return ProgramOutcome(code, number, None, "")
     what = f"exit code {code}" if number is None else f"ended by signal {number} ({_name(number)})"
-    message = f"{what}: {ending.last_line}" if ending.last_line else what
+    line = "" if number is not None and is_report(ending.last_line) else ending.last_line
+    message = f"{what}: {line}" if line else what
     return ProgramOutcome(code, number, Reason.ALGORITHM_FAILED, message)
 
 

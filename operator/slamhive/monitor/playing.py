@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mean cores of a run that was played to: over the time it was, without the wait before and after.
+"""Playing as the player tells it in output/playback.json: whether it was done, and the mean cores meanwhile.
 
-The player writes into output/playback.json when it began to play and when the last pose came (wall clock);
-usage.csv has the cores between any two samples.
+The mean is over the time of playing, from its begin to the last pose (wall clock), without the wait before
+and after; usage.csv has the cores between any two samples.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import json
 import math
 from contextlib import suppress
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from slamhive.contract.files import read_regular
 
@@ -56,12 +56,24 @@ def _rows(path: str) -> Iterator[tuple[float, float]]:
             yield float(time), float(cores)
 
 
+def played_to_the_end(output_directory: str | None) -> bool:
+    """Tell whether the player says that it played everything and then asked the program to end."""
+    return _report(output_directory).get("state") == "Ended"
+
+
+def _report(output_directory: str | None) -> dict[str, Any]:
+    """Return the player's report; empty where nothing was played, or it is none."""
+    found = None
+    with suppress(OSError, ValueError, RecursionError):
+        if output_directory is not None:
+            found = json.loads(read_regular(f"{output_directory}/playback.json", _REPORT_BYTES))
+    return found if isinstance(found, dict) else {}
+
+
 def _window(output_directory: str | None) -> tuple[float, float] | None:
-    if output_directory is None:
-        return None
+    found = _report(output_directory)
     try:
-        found = json.loads(read_regular(f"{output_directory}/playback.json", _REPORT_BYTES))
         begin, end = float(found["playStart"]), float(found["playEnd"])
-    except (OSError, ValueError, TypeError, KeyError, OverflowError, RecursionError):
+    except (ValueError, TypeError, KeyError, OverflowError):
         return None
     return (begin, end) if math.isfinite(begin) and math.isfinite(end) and begin < end else None

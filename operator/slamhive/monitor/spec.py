@@ -87,6 +87,7 @@ class SupervisorSpec(Specification):
         frames: Frames of the recording, for an algorithm that doesn't count what it was offered.
         includes_reader: The algorithm reads the recording by itself and can't tell what that costs.
         poses: Files in which it writes its poses in its own way, as `PoseFiles.as_json` has them.
+        is_played: A player plays the recording to it; once that is done, how it ends says nothing.
         cgroup: `auto` makes one where it can be made, `none` measures by /proc.
         contained: The container that is started in place of a process, as `ContainedSpec.as_json` has it;
             `argv` is then what it runs, for messages alone.
@@ -114,6 +115,7 @@ class SupervisorSpec(Specification):
     frames: int | None = None
     includes_reader: bool = False
     poses: Mapping[str, Any] | None = None
+    is_played: bool = False
     cgroup: str = "auto"
     contained: Mapping[str, Any] | None = None
     kill_grace_seconds: float = 5.0
@@ -295,6 +297,7 @@ _RULES: dict[str, tuple[str, Callable[[object], bool]]] = {
     "data_seconds": _TIME_RULE,
     "frames": ("a whole number, 0 or more, or null", _optional(lambda value: _integer(value, 0))),
     "includes_reader": ("true or false", lambda value: isinstance(value, bool)),
+    "is_played": ("true or false", lambda value: isinstance(value, bool)),
     "poses": ("a description of files with poses or null", _optional(_pose_files)),
     "contained": ("a container that was created or null", _optional(_contained)),
     "cgroup": ("auto or none", lambda value: value in ("auto", "none")),

@@ -32,7 +32,7 @@ from slamhive.monitor.measuring.reader import ReaderClock
 from slamhive.monitor.measuring.sources import field
 from slamhive.monitor.metrics import reader_report
 from slamhive.monitor.outcome import ProgramEnding, StopDecision, judge, out_of_memory
-from slamhive.monitor.playing import played_mean_cores
+from slamhive.monitor.playing import played_mean_cores, played_to_the_end
 from slamhive.monitor.programs.files import OutputPipe, UsageTable
 from slamhive.monitor.programs.launch import LaunchError
 from slamhive.monitor.programs.log import BoundedLog
@@ -166,6 +166,7 @@ class Supervisor:
             group_oom_kills=self._program.oom_kills(),
             machine_oom_kills=oom_kills,
             memory_limit=spec.memory_limit_bytes,
+            was_played=spec.is_played and played_to_the_end(folder),
         )
         measured = self._program.source.name != NO_ACCOUNT
         if not measured:

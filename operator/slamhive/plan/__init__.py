@@ -2,7 +2,7 @@
 """Plan: from a Sweep to its runs, lazily, with names and hashes that are the same everywhere. Pure."""
 
 from slamhive.plan.catalog import Catalog, FixedCatalog
-from slamhive.plan.checks import plan_problems
+from slamhive.plan.checks import impossible, plan_problems
 from slamhive.plan.configuration import run_configuration, whole_cores
 from slamhive.plan.effects import Effect, option_problems, recording_fields
 from slamhive.plan.expansion import Plan, Point
@@ -19,6 +19,7 @@ __all__ = [
     "algorithm_hash",
     "content_hash",
     "image_digest",
+    "impossible",
     "local_uid",
     "option_problems",
     "pinned_digest",

@@ -11,7 +11,7 @@ import hashlib
 from typing import TYPE_CHECKING, Any
 
 from slamhive.model.canonical import normalize
-from slamhive.model.run import UNHASHED, MappingRunSpec
+from slamhive.model.run import UNHASHED, MappingRunSpec, essential
 from slamhive.plan.hashes import canonical_text, scalar_text, sort_key
 from slamhive.plan.paths import ALGORITHM, PARAMETERS, REPETITION, SEED, SENSORS, Settings, flatten
 from slamhive.plan.resolution import complete, order
@@ -101,6 +101,8 @@ class Assembler:
             fields = self._base | {path: value for path, _, value in changed}
             spec = _nest({path: value for path, value in fields.items() if path[0] == name})
             complete(spec, self._algorithms.get(algorithm or ""))
+            if name == "input":
+                spec[name] = essential(spec[name])
             text = canonical_text(normalize(spec[name])) if name in spec else ""
             if len(self._sections) >= _CACHE_SIZE:
                 self._sections.clear()

@@ -8,17 +8,20 @@ sentence names the axis, entry of include or template that it came from.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from slamhive.model.errors import suggestion
+from slamhive.model.errors import InputError, suggestion
+from slamhive.model.variant import OpenFinding, Severity, preventing
 from slamhive.plan.effects import start_problem
 from slamhive.plan.paths import ALGORITHM, DATASET, INPUT, PACE, PARAMETERS, REMAP, SENSORS, bounded, written
 from slamhive.plan.resolution import mode_of, pace_problem, parameter_problem, role_problems
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
-    from slamhive.model.algorithm import Algorithm
+    from slamhive.model.algorithm import Algorithm, Mode
+    from slamhive.model.dataset import Dataset
     from slamhive.plan.effects import Effect
     from slamhive.plan.expansion import Plan
     from slamhive.plan.paths import Path, Settings
@@ -66,6 +69,19 @@ def plan_problems(plan: Plan, limit: int = 20) -> list[str]:
     return _Check(plan).problems(limit)
 
 
+def impossible(plan: Plan, findings: Mapping[str, Sequence[OpenFinding]]) -> list[str]:
+    """Return the parts of a plan that findings of recordings make impossible: a sentence a dataset and mode.
+
+    Args:
+        plan: the runs, without a mistake.
+        findings: what is known to be wrong with each dataset, by name.
+    """
+    faulty = {
+        name for name, found in findings.items() if any(one.severity is Severity.ERROR for one in found)
+    }
+    return _Check(plan).impossible(faulty, findings) if faulty else []
+
+
 class _Check:
     """One check of a plan; keeps what it has looked at."""
 
@@ -84,6 +100,22 @@ class _Check:
             self._row(row)
         self._without_effect()
         return bounded(list(self._found), limit)
+
+    def impossible(self, faulty: Collection[str], findings: Mapping[str, Sequence[OpenFinding]]) -> list[str]:
+        """Return a sentence on each mode that can't be run on a faulty dataset."""
+        plan = self._plan
+        value = plan.assembler.value
+        for row in range(len(plan.grid)):
+            settings = plan.given(row)
+            data = value(settings, DATASET)
+            name, dataset = value(settings, ALGORITHM), plan.datasets.get(data or "")
+            chosen, _ = mode_of(plan.algorithms.get(name or ""), value(settings, SENSORS))
+            if data not in faulty or chosen is None or dataset is None:
+                continue
+            remap = self._remap(settings)
+            key = (data, chosen.name, chosen.needs, *sorted(remap.items()))
+            self._once(key, row, DATASET, partial(_prevented, findings[data], chosen, dataset, remap))
+        return list(self._found)
 
     def _row(self, row: int) -> None:
         plan = self._plan
@@ -187,3 +219,15 @@ class _Check:
         if path in self._plan.template or not grid.dimensions:
             return "spec.template.spec"
         return addition.origins[-1] if grid.steps(row) is None else "spec.template.spec"
+
+
+def _prevented(
+    found: Sequence[OpenFinding], mode: Mode, dataset: Dataset, remap: dict[str, str]
+) -> Iterator[str]:
+    try:
+        used = {dataset.spec.sensor_for(role, remap) for role in mode.needs}
+    except InputError:  # its sensors are known when it is made
+        used = {str(role) for role in mode.needs}
+    fault = preventing(found, used)
+    if fault is not None:
+        yield f"{mode.name} can't be run on {dataset.name}, and isn't started: {fault.sentence}"

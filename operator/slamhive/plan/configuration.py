@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 from slamhive.model.base import quantity
 from slamhive.model.configuration import DatasetView, InputView, RecordingPlace, RunConfiguration
 from slamhive.model.formats import folder_files
+from slamhive.model.run import Perturbation
+from slamhive.plan.misleading import misled
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -35,6 +37,7 @@ def run_configuration(
         cores: processors that it may use.
     """
     options = spec["input"]
+    perturb = Perturbation.model_validate(options["perturb"]) if options.get("perturb") else None
     declared = dataset.spec
     return RunConfiguration(
         run=run,
@@ -47,7 +50,7 @@ def run_configuration(
             duration_seconds=recording.duration_seconds,
             gravity_aligned=declared.has_level_truth,
         ),
-        sensors={role.value: view for role, view in recording.sensors.items()},
+        sensors={role.value: view for role, view in misled(recording.sensors, perturb).items()},
         parameters=spec["parameters"],
         input=InputView(
             pace=options["pace"],

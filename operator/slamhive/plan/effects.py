@@ -15,11 +15,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from pydantic.alias_generators import to_camel
+
 from slamhive.model.algorithm import Pace
 from slamhive.model.base import seconds
 from slamhive.model.canonical import normalize
 from slamhive.model.dataset import sensor_for
 from slamhive.model.errors import InputError
+from slamhive.model.run import OF_ROLES, is_random, neutral
 from slamhive.model.sensors import FOLLOWS, ROLE_TYPES, SAME_RATE, Role, SensorType
 from slamhive.model.synthetic import FIXED_RATES, SyntheticSensor
 from slamhive.plan.resolution import sensors_of
@@ -35,6 +38,12 @@ Options = dict[str, Any]
 
 _LIDAR = ("lidar.minRange", "lidar.maxRange", "lidar.rings")
 _CAMERAS = frozenset({SensorType.CAMERA, SensorType.DEPTH_CAMERA})
+_PERTURBED = {
+    "lidar": (SensorType.LIDAR, "LiDAR"),
+    "images": (SensorType.CAMERA, "camera"),
+    "imu": (SensorType.IMU, "IMU"),
+}
+_BY_ROLE = {to_camel(field) for field in OF_ROLES}
 
 
 @dataclass(frozen=True)
@@ -48,6 +57,8 @@ class Recorded:
         source: whose frame rate it is, such as ``hall's lidar``.
         frame_rate: of the fastest sensor that a frame rate thins, Hz; None: not known.
         rings: of the LiDAR; None: not known.
+        imu_rate: of the IMU, Hz; None: not known.
+        roles: those that the mode takes.
         seconds: its length; None: not known.
     """
 
@@ -58,6 +69,8 @@ class Recorded:
     frame_rate: float | None = None
     rings: int | None = None
     seconds: float | None = None
+    imu_rate: float | None = None
+    roles: frozenset[Role] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -105,7 +118,7 @@ def options_of(given: Mapping[str, Any]) -> Options:
     result: Options = {}
     for name, value in given.items():
         if isinstance(value, dict):
-            result |= {f"{name}.{key}": item for key, item in value.items() if item is not None}
+            result |= {f"{name}.{key}": item for key, item in options_of(value).items()}
         elif value is not None:
             result[name] = value
     return result
@@ -139,6 +152,8 @@ def recorded(
         frame_rate=rate,
         rings=_rings(dataset, sensors.get(Role.LIDAR)),
         seconds=length,
+        imu_rate=_rate(dataset, sensors[Role.IMU]) if Role.IMU in sensors else None,
+        roles=frozenset(mode.needs),
     )
 
 
@@ -228,6 +243,35 @@ def _idle(options: Mapping[str, Any], seen: Recorded) -> Iterator[tuple[str, Any
         yield "lidar.rings", seen.rings, f"{rings} is asked, {seen.dataset}'s LiDAR has {seen.rings}"
     if options.get("rate", 1) != 1 and options.get("pace") == Pace.LOCKSTEP:
         yield "rate", None, f"{options['rate']:g} is asked, the pace Lockstep has no speed of playback"
+    yield from _perturbed(options, seen)
+
+
+def _perturbed(options: Mapping[str, Any], seen: Recorded) -> Iterator[tuple[str, Any, str]]:
+    asked = {name.removeprefix("perturb."): name for name in options if name.startswith("perturb.")}
+    for short, option in asked.items():
+        value, (block, _, field) = options[option], short.partition(".")
+        if not field or value == neutral(short):
+            continue
+        kind, word = _PERTURBED.get(block, (None, ""))
+        if kind is not None and kind not in seen.types:
+            instead = None if _has_no_neutral(short) else neutral(short)
+            yield option, instead, f"{value:g} is asked, the mode {seen.mode} has no {word}"
+        elif block in _BY_ROLE and field not in seen.roles:
+            yield option, 0, f"{value:g} is asked, the mode {seen.mode} has no {field}"
+        elif short == "imu.rate" and seen.imu_rate is not None and value > seen.imu_rate * SAME_RATE:
+            text = f"{value:g} Hz is asked, {seen.dataset}'s IMU has {seen.imu_rate:g} Hz"
+            yield option, normalize(nominal(seen.imu_rate)), text
+    if "seed" in asked and not any(map(is_random, asked)):
+        yield (
+            "perturb.seed",
+            None,
+            f"{options['perturb.seed']} is asked, and nothing that is perturbed is random",
+        )
+
+
+def _has_no_neutral(short: str) -> bool:
+    """Tell whether only the absence of a perturbation changes nothing."""
+    return short in {"images.jpegQuality", "imu.accelerometerRange", "imu.gyroscopeRange", "imu.rate"}
 
 
 def _frame_rate(options: Mapping[str, Any], seen: Recorded) -> Iterator[tuple[str, Any, str]]:
@@ -284,6 +328,8 @@ def _rate(dataset: Dataset, name: str) -> float | None:
     match sensors_of(dataset)[name]:
         case SensorType.LIDAR:
             return synthetic.lidar.rate
+        case SensorType.IMU:
+            return synthetic.imu.rate
         case SensorType.LASER_SCAN:
             return FIXED_RATES[SyntheticSensor.LASER_SCAN]
         case _:

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from slamhive.model.errors import InputError
+from slamhive.model.run import DEFAULT_SEED, is_random, neutral
 from slamhive.model.sweep import MAX_POINTS
 from slamhive.plan.assembly import Assembler
 from slamhive.plan.axes import compile_axes
@@ -19,7 +20,18 @@ from slamhive.plan.effects import Reading, recorded
 from slamhive.plan.findings import Findings
 from slamhive.plan.grid import Coordinates, Grid
 from slamhive.plan.hashes import local_uid, run_name
-from slamhive.plan.paths import ALGORITHM, DATASET, INPUT, PACE, REMAP, SEED, Settings, bounded, flatten
+from slamhive.plan.paths import (
+    ALGORITHM,
+    DATASET,
+    INPUT,
+    PACE,
+    PERTURB,
+    REMAP,
+    SEED,
+    Settings,
+    bounded,
+    flatten,
+)
 from slamhive.plan.resolution import mode_of
 
 if TYPE_CHECKING:
@@ -252,7 +264,8 @@ class Plan:
         """
         first: dict[object, int] = {}
         same: dict[int, int] = {}
-        for row in range(len(self.grid)) if self._idle else ():
+        perturbs = any(path[:2] == PERTURB for path in self._inputs)
+        for row in range(len(self.grid)) if self._idle or perturbs else ():
             original = first.setdefault(self._sameness(row), row)
             if original != row:
                 same[row] = original
@@ -267,6 +280,8 @@ class Plan:
         settings = self.settings(row)
         fields = {path: item for path, item in settings.items() if path[0] != INPUT}
         fields |= {path: self.assembler.value(settings, path) for path in self._inputs}
+        perturb = {path[2:]: fields.pop(path) for path in self._inputs if path[:2] == PERTURB}
+        fields |= {(*PERTURB, *path): item for path, item in _perturbing(perturb)}
         return frozenset((path, type(item), item) for path, item in fields.items())
 
     def remarks(self, limit: int = 20) -> list[str]:
@@ -348,6 +363,18 @@ class Plan:
         if look_first:
             order.sort(key=lambda index: index % self.repetitions > 0)  # stable
         return sorted(order, key=self.twins.__contains__)  # stable: those that wait for others come last
+
+
+def _perturbing(fields: dict[Path, Any]) -> Iterator[tuple[Path, Any]]:
+    """Yield the fields of a perturbation that change something."""
+    options = {path: ".".join(path) for path in fields if path != ("seed",)}
+    found = {path for path, name in options.items() if fields[path] not in {None, neutral(name)}}
+    drawn = any(is_random(options[path]) for path in found)
+    for path in found:
+        yield path, fields[path]
+    if drawn and ("seed",) in fields:
+        seed = fields["seed",]
+        yield ("seed",), DEFAULT_SEED if seed is None else seed
 
 
 def _taken(effect: Effect) -> str:

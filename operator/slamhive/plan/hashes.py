@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import rfc8785
 
 from slamhive.model.canonical import digest, normalize
-from slamhive.model.run import UNHASHED
+from slamhive.model.run import UNHASHED, essential
 from slamhive.model.sweep import IMMUTABLE
 
 if TYPE_CHECKING:
@@ -34,7 +34,10 @@ def spec_hash(spec: dict[str, Any]) -> str:
     Args:
         spec: with all defaults filled in, as ``resolve`` returns it.
     """
-    return digest(normalize({key: value for key, value in spec.items() if key not in UNHASHED}))
+    body = {key: value for key, value in spec.items() if key not in UNHASHED}
+    if "input" in body:
+        body["input"] = essential(body["input"])
+    return digest(normalize(body))
 
 
 def algorithm_hash(algorithm: AlgorithmSpec) -> str:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Paths: the names by which a Sweep sets fields of a MappingRun's spec.
 
-A path is kept as a tuple of keys. All that follows ``parameters.`` or ``input.remap.`` is one literal key,
-since names of parameters may hold dots. Values are checked field by field against the model, so that a
-mistake is found once in the axis and not in each of 80,000 points.
+A path is kept as a tuple of keys. All that follows ``parameters.`` or a map by role, such as
+``input.remap.``, is one literal key, since names of parameters may hold dots. Values are checked field by
+field against the model, so that a mistake is found once in the axis and not in each of 80,000 points.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 from pydantic import TypeAdapter, ValidationError
+from pydantic.alias_generators import to_camel
 
 from slamhive.model.base import Choice, Model, explain
 from slamhive.model.canonical import normalize
 from slamhive.model.errors import InputError, suggestion
-from slamhive.model.run import MappingRunSpec
+from slamhive.model.run import OF_ROLES, MappingRunSpec
 from slamhive.model.sensors import Role
 
 if TYPE_CHECKING:
@@ -40,7 +41,9 @@ PARAMETERS: Path = ("parameters",)
 REMAP: Path = (INPUT, "remap")
 
 _ALIASES = {"algorithm": ALGORITHM, "dataset": DATASET}
-_MAPS = (PARAMETERS, REMAP)
+PERTURB: Path = (INPUT, "perturb")
+_BY_ROLE = (REMAP, *((*PERTURB, to_camel(name)) for name in OF_ROLES))
+_MAPS = (PARAMETERS, *_BY_ROLE)
 _ROLES = [str(role) for role in Role]
 
 
@@ -62,7 +65,10 @@ OBJECTS = frozenset(path[:-1] for path in _FIELDS if len(path) > 1)
 """Paths of fields that hold other fields."""
 LEAVES = frozenset(_FIELDS) - OBJECTS - set(_MAPS)
 """Paths of fields that hold one value."""
-KNOWN = sorted([*map(".".join, LEAVES), *_ALIASES, "parameters.NAME", *(f"input.remap.{r}" for r in _ROLES)])
+KNOWN = sorted(
+    [*map(".".join, LEAVES), *_ALIASES, "parameters.NAME"]
+    + [f"{'.'.join(path)}.{role}" for path in _BY_ROLE for role in _ROLES]
+)
 """All paths as they are written."""
 
 
@@ -105,7 +111,7 @@ def parse_path(text: str, where: str) -> Path:
         start = written(prefix) + "."
         if text.startswith(start) and len(text) > len(start):
             key = text.removeprefix(start)
-            if prefix == REMAP and key not in _ROLES:
+            if prefix in _BY_ROLE and key not in _ROLES:
                 raise InputError(f"{where}: unknown role {key!r}{suggestion(key, _ROLES)}")
             return (*prefix, key)
     path = tuple(text.split("."))

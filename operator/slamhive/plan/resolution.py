@@ -71,6 +71,9 @@ def complete(spec: dict[str, Any], algorithm: Algorithm | None) -> None:
     """Fill an Algorithm's defaults into a spec in place; what doesn't fit is left as it is."""
     if not spec["input"].get("lidar"):
         spec["input"].pop("lidar", None)
+    perturb = {key: item for key, item in (spec["input"].pop("perturb", None) or {}).items() if item != {}}
+    if perturb:
+        spec["input"]["perturb"] = perturb
     if algorithm is None:
         return
     modes = algorithm.spec.modes

@@ -3,17 +3,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import re
+from typing import TYPE_CHECKING, Any
 
-from slamhive.model.algorithm import Poses, PoseStamp
+from slamhive.model.algorithm import Pace, Poses, PoseStamp
 from slamhive.model.base import seconds
+from slamhive.model.errors import InputError
+from slamhive.model.rosnodes import Ros1, Ros2
 from slamhive.model.sensors import ROLE_TYPES, SensorType
 from slamhive.playback.protocol import FrameSource, PlayRequest, PoseSource
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from slamhive.model.algorithm import AlgorithmSpec, Output
     from slamhive.model.configuration import RunConfiguration, SensorView
-    from slamhive.model.ros1 import Ros1, Ros1Poses
+    from slamhive.model.rosnodes import RosNode, RosPoses
 
 _POSE_WHEN = {
     PoseStamp.SCAN_START: 0.0,
@@ -21,6 +26,10 @@ _POSE_WHEN = {
     PoseStamp.SCAN_END: 1.0,
 }
 _USUAL_RATE = 10.0
+_ROS2_NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+"""Names of topics that `rmw_validate_full_topic_name` takes. Recordings of ROS 1 have others, too."""
+_PARAMETERS = "ros__parameters"
+_KEY = re.compile(r"^( *)(\S.*?):\s*(#.*)?$")
 
 
 def play_request(
@@ -31,6 +40,7 @@ def play_request(
     folder: str,
     mark: str,
     port: int = 0,
+    domain: int | None = None,
     stay: bool = False,
 ) -> PlayRequest | None:
     """Return the order to the player for a run, None where the algorithm needs none.
@@ -42,7 +52,11 @@ def play_request(
         folder: A folder of the player's own.
         mark: NAME=VALUE that the algorithm's processes, and no others, have in their environment.
         port: Of the ROS master; 0 for any that is free.
+        domain: Of ROS 2; None for one that is free.
         stay: Whether the player stays, when all is done, until asked to go.
+
+    Raises:
+        InputError: ROS 2 has no topic of a name that the recording has.
     """
     ros = algorithm.plays(configuration.input.pace)
     if ros is None:
@@ -50,15 +64,19 @@ def play_request(
     mode = algorithm.mode(configuration.mode)
     leading = next((role for role in mode.needs if ROLE_TYPES[role].has_frames), mode.needs[0])
     first = configuration.sensors[leading]
-    topics = {view.topic: ros.topics.get(role, view.topic) for role, view in configuration.sensors.items()}
+    names = _played_names(ros, configuration)
+    topics = {view.topic: names[role] for role, view in configuration.sensors.items()}
+    if isinstance(ros, Ros2):
+        _check_names([*topics.values(), *(mode.topics or ())])
     output = algorithm.output_of(mode)
     return PlayRequest(
         recording=f"{run}/{configuration.dataset.recording.path}",
+        ros=2 if isinstance(ros, Ros2) else 1,
         output=f"{run}/output",
         folder=folder,
         algorithm=mark,
         topics=topics,
-        remap=_calibrations(configuration, ros),
+        remap=_calibrations(configuration, names),
         poses=_source(ros.poses, configuration, first, output),
         frames=FrameSource(
             topic=topics[first.topic],
@@ -69,6 +87,10 @@ def play_request(
         ),
         keyframes=_source(ros.keyframes, configuration, first, output) if ros.keyframes is not None else None,
         rate=configuration.input.rate,
+        stepped=configuration.input.pace == Pace.STEPPED,
+        step_seconds=seconds(ros.step),
+        **(_of_ros2(ros, names, domain) if isinstance(ros, Ros2) else {}),
+        parameters_of=_parameters_of(algorithm, ros),
         data_seconds=configuration.dataset.duration_seconds,
         port=port,
         ready_seconds=seconds(ros.ready),
@@ -78,22 +100,93 @@ def play_request(
     )
 
 
-def _calibrations(configuration: RunConfiguration, ros: Ros1) -> dict[str, str]:
+def node_arguments(algorithm: AlgorithmSpec, configuration: RunConfiguration, files: str) -> list[str]:
+    """Return the arguments with which a ROS 2 node is started beside its command's own; none for others.
+
+    Args:
+        algorithm: The run's Algorithm.
+        configuration: The run's configuration.
+        files: Folder of the rendered settings files, as the node sees it.
+    """
+    ros = algorithm.plays(configuration.input.pace)
+    if not isinstance(ros, Ros2) or not ros.renames:
+        return []
+    words = ["--ros-args", "-p", "use_sim_time:=true"]
+    told = {role: ros.topics.get(role, view.topic) for role, view in configuration.sensors.items()}
+    renamed = {told[role]: view.topic for role, view in configuration.sensors.items()}
+    renamed |= {new: old for old, new in _calibrations(configuration, told).items()}
+    for own, played in renamed.items():
+        if own != played:
+            words += ["-r", f"{own}:={played}"]
+    if ros.parameters is not None:
+        words += ["--params-file", f"{files}/{ros.parameters}"]
+    return words
+
+
+def _played_names(ros: RosNode, configuration: RunConfiguration) -> dict[str, str]:
+    """Return the names under which sensors' topics are played, by role."""
+    views = configuration.sensors.items()
+    if isinstance(ros, Ros1) or (isinstance(ros, Ros2) and not ros.renames):
+        return {role: ros.topics.get(role, view.topic) for role, view in views}
+    return {role: view.topic for role, view in views}
+
+
+def _check_names(names: Iterable[str]) -> None:
+    for name in names:
+        if not _ROS2_NAME.fullmatch(name):
+            raise InputError(
+                f"the recording's topic {name!r} can't be played to a ROS 2 node: expected letters, "
+                "digits and _ after each /, no digit first; ros2.topics with arguments: None names another"
+            )
+
+
+def _of_ros2(ros: Ros2, names: dict[str, str], domain: int | None) -> dict[str, Any]:
+    """Return the fields of a request that ROS 2 alone has."""
+    qos = {
+        names[role]: {name: str(value) for name, value in offered if value is not None}
+        for role, offered in ros.qos.items()
+        if role in names
+    }
+    return {"qos": qos, "domain": domain} | ({"rmw": ros.rmw} if ros.rmw else {})
+
+
+def _parameters_of(algorithm: AlgorithmSpec, ros: RosNode) -> list[str]:
+    """Return the nodes that a node's params file is for, as far as its template tells without a run."""
+    if not isinstance(ros, Ros2) or ros.parameters is None:
+        return []
+    template = next(file.template for file in algorithm.files or () if file.path == ros.parameters)
+    found: list[str] = []
+    above: list[tuple[int, str]] = []
+    for line in template.splitlines():
+        key = _KEY.match(line)
+        if key is None:
+            continue
+        indent, name = len(key[1]), key[2].strip("\"'")
+        above = [one for one in above if one[0] < indent]
+        if name == _PARAMETERS:
+            found.append("/".join(part for _, part in above))
+        above.append((indent, name))
+    # Names that are made of parameters, and sections in one line, are left to ROS.
+    told = len(found) == template.count(_PARAMETERS) and all(name and "{" not in name for name in found)
+    return sorted(set(found)) if told else []
+
+
+def _calibrations(configuration: RunConfiguration, names: dict[str, str]) -> dict[str, str]:
     """Return the new names of the camera_info beside each camera's topic, by the old ones."""
     renamed = {}
     for role, view in configuration.sensors.items():
-        new = ros.topics.get(role, view.topic)
-        if view.type in {SensorType.CAMERA, SensorType.DEPTH_CAMERA} and new != view.topic:
-            renamed[_sibling(view.topic)] = _sibling(new)
+        if view.type in {SensorType.CAMERA, SensorType.DEPTH_CAMERA} and names[role] != view.topic:
+            renamed[_sibling(view.topic)] = _sibling(names[role])
     return renamed
 
 
 def _sibling(topic: str) -> str:
-    return f"{topic.rpartition('/')[0]}/camera_info"
+    folder, slash, _ = topic.rpartition("/")
+    return f"{folder}{slash}camera_info"
 
 
 def _source(
-    poses: Ros1Poses, configuration: RunConfiguration, first: SensorView, output: Output
+    poses: RosPoses, configuration: RunConfiguration, first: SensorView, output: Output
 ) -> PoseSource:
     """Return the source of poses, with the seconds that their messages' stamps are to be moved."""
     moved = 0.0

@@ -17,7 +17,7 @@ _REASONS = ("AlgorithmFailed", "SystemFault")
 
 
 class Played(NamedTuple):
-    """Outcome of playing a recording to a ROS 1 node: completed, or why it failed.
+    """Outcome of playing a recording to a ROS node: completed, or why it failed.
 
     Attributes:
         completed: The recording was played to its end and the node was asked to end. How it ends then says

@@ -10,8 +10,14 @@ from typing import Any, Self
 VARIABLE = "SLAMHIVE_PLAYER"
 """Variable that holds a request, or the path of a file with one."""
 
-MASTER_FILE, READY_FILE = "master.json", "ready"
-"""In the player's folder: where the ROS master answers; written when a node may be started."""
+NODE_FILE, READY_FILE = "node.json", "ready"
+"""In the player's folder: the variables by which a node finds the player; there when one may be started."""
+
+PROFILE_FILE = "fastdds.xml"
+"""In the player's folder: the transport of ROS 2 that player and node share."""
+
+LEAST_SHARED_MEMORY = 96 << 20
+"""Bytes of /dev/shm that a ROS 2 node and its player need; the player's segment takes a third of that."""
 
 LOOPBACK = "127.0.0.1"
 """Nodes answer there alone, so that nothing outside the machine, or the pod, reaches them."""
@@ -22,7 +28,7 @@ REPORT_FILE = "playback.json"
 
 @dataclass(frozen=True)
 class PoseSource:
-    """Source of the poses that a ROS 1 node publishes: topic, message type, frames, shift of stamps.
+    """Source of the poses that a ROS node publishes: topic, message type, frames, shift of stamps.
 
     Attributes:
         topic: The topic.
@@ -65,6 +71,7 @@ class PlayRequest:
 
     Attributes:
         recording: Path of the bag.
+        ros: 1 or 2: the ROS that the node is of.
         output: The run's output folder.
         folder: A folder of the player's own.
         algorithm: NAME=VALUE that the algorithm's processes, and no others, have in their environment.
@@ -75,6 +82,14 @@ class PlayRequest:
         frames: What counts as a frame.
         keyframes: Where the poses of keyframes come from, beside the others.
         rate: Speed of playing.
+        stepped: Whether time stands before each frame until the pose of the last one has come.
+        step_seconds: How long it stands at most.
+        qos: Of ROS 2: by the name of a topic as it is played, `reliability` and `durability` as an Algorithm
+            has them, where the default won't do.
+        rmw: Of ROS 2: the RMW_IMPLEMENTATION of player and node.
+        parameters_of: Of ROS 2: the nodes that the node's params file is for; empty where there is none, or
+            where it can't be told.
+        domain: Of ROS 2: the domain to meet in; None for one of this machine that is free.
         data_seconds: Length of the recording.
         port: Of the ROS master; 0 for any that is free.
         ready_seconds: How long the node may take to be ready.
@@ -84,6 +99,7 @@ class PlayRequest:
     """
 
     recording: str
+    ros: int
     output: str
     folder: str
     algorithm: str
@@ -93,6 +109,12 @@ class PlayRequest:
     keyframes: PoseSource | None = None
     remap: dict[str, str] = field(default_factory=dict)
     rate: float = 1.0
+    stepped: bool = False
+    step_seconds: float = 2.0
+    qos: dict[str, dict[str, str]] = field(default_factory=dict)
+    rmw: str = "rmw_fastrtps_cpp"
+    parameters_of: list[str] = field(default_factory=list)
+    domain: int | None = None
     data_seconds: float | None = None
     port: int = 0
     ready_seconds: float = 120.0
@@ -118,7 +140,9 @@ class PlayRequest:
                 parts["keyframes"] = PoseSource(**values["keyframes"])
             return cls(**{**values, **parts})
         except (TypeError, KeyError) as error:
-            raise ValueError(f"no request for the player: {error}") from None
+            raise ValueError(
+                f"no request for this player, whose image may be older than slamhive: {error}"
+            ) from None
 
 
 class PlayError(Exception):
@@ -134,7 +158,7 @@ class PlayError(Exception):
         self.reason = reason
 
 
-def ros_variables(uri: str, folder: str) -> dict[str, str]:
+def ros1_variables(uri: str, folder: str) -> dict[str, str]:
     """Return the variables with which a node finds the master, and nobody else finds the node.
 
     Args:
@@ -146,5 +170,27 @@ def ros_variables(uri: str, folder: str) -> dict[str, str]:
         "ROS_IP": LOOPBACK,
         "ROS_HOSTNAME": LOOPBACK,
         "ROS_HOME": folder,
+        "ROS_LOG_DIR": folder,
+    }
+
+
+def ros2_variables(domain: int, profile: str, rmw: str, folder: str) -> dict[str, str]:
+    """Return the variables with which a node meets the player, and nobody else.
+
+    Args:
+        domain: The domain.
+        profile: Path of the transport's profile, as the node sees it.
+        rmw: Its RMW_IMPLEMENTATION.
+        folder: One that is there for ROS to write into.
+    """
+    return {
+        "ROS_DOMAIN_ID": str(domain),
+        # The profile allows the loopback interface alone; other makes than Fast DDS are told by this.
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_STATIC_PEERS": "",
+        # The second is the name that Fast DDS of Jazzy and older reads.
+        "FASTDDS_DEFAULT_PROFILES_FILE": profile,
+        "FASTRTPS_DEFAULT_PROFILES_FILE": profile,
+        "RMW_IMPLEMENTATION": rmw,
         "ROS_LOG_DIR": folder,
     }

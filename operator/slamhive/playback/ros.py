@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Detection of ROS 1 on this machine, and of the Python that it belongs to."""
+"""Detection of ROS 1 on this machine, and of the Python that it belongs to; ros2.py is the same of ROS 2."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import subprocess
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from slamhive.contract.environment import own_variables
 
@@ -27,7 +28,8 @@ PACKAGES = (
 """Debian's packages of ROS Noetic that playing takes, some 15 MB to download."""
 
 _PROGRAMS = ("roscore", "rosbag")
-_PYTHONS = ("/usr/bin/python3", "python3")
+PYTHONS = ("/usr/bin/python3", "python3")
+"""Interpreters that a ROS may be for."""
 _LEAST = (3, 11)
 _PASSED_ON = (
     "ROS_ROOT",
@@ -46,18 +48,27 @@ print(*sys.version_info[:2], version("rospy"))
 """
 
 
+class Probed(NamedTuple):
+    """An interpreter's answer about a ROS: its own version, and the ROS's release."""
+
+    version: tuple[int, int]
+    release: str
+
+
 @dataclass(frozen=True)
 class Ros:
-    """ROS 1 on this machine.
+    """A ROS on this machine.
 
     Attributes:
+        number: 1 or 2.
         python: The interpreter that its packages are for.
         version: Of that interpreter.
-        release: Version of rospy.
+        release: Version of rospy, or name of the distribution and version of rclpy.
         paths: Folders of its packages that the interpreter doesn't know by itself.
         variables: Those of its own that its programs need.
     """
 
+    number: int
     python: str
     version: tuple[int, int]
     release: str
@@ -76,31 +87,45 @@ def find_ros() -> Ros | None:
     entries = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     paths = tuple(entry for entry in entries if entry and (Path(entry) / "rospy").is_dir())
     variables = own_variables(_PASSED_ON)
-    for name in _PYTHONS:
+    for name in PYTHONS:
         python = shutil.which(name)
-        found = _probe(python, variables | {"PYTHONPATH": os.pathsep.join(paths)}) if python else None
-        if python is not None and found is not None and found[0] >= _LEAST:
-            return Ros(python, *found, paths, tuple(variables.items()))
+        found = probe(python, _PROBE, variables, paths) if python else None
+        if python is not None and isinstance(found, Probed) and found.version >= _LEAST:
+            return Ros(1, python, *found, paths, tuple(variables.items()))
     return None
 
 
-def _probe(python: str, variables: dict[str, str]) -> tuple[tuple[int, int], str] | None:
+def probe(python: str, code: str, variables: dict[str, str], paths: tuple[str, ...]) -> Probed | str:
+    """Ask an interpreter for a ROS.
+
+    Args:
+        python: The interpreter.
+        code: Program that imports what is needed, and prints major, minor and the ROS's release.
+        variables: Those of the ROS.
+        paths: Folders of its packages.
+
+    Returns:
+        What it printed; where it failed, the last line of what it said.
+    """
     surroundings = {"PATH": os.environ.get("PATH", os.defpath)} | variables
+    surroundings["PYTHONPATH"] = os.pathsep.join(paths)
     try:
         result = subprocess.run(
-            [python, "-P", "-c", _PROBE],
+            # Not -P, which Python 3.10 doesn't know: what lies in the working folder is no ROS.
+            [python, "-c", code],
+            cwd="/",
             capture_output=True,
             text=True,
             check=False,
             timeout=60,
             env=surroundings,
         )
-    except (OSError, subprocess.TimeoutExpired):
-        return None
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return str(error)
     if result.returncode != 0:
-        return None
-    major, minor, release = result.stdout.split()
-    return (int(major), int(minor)), release
+        return (result.stderr.strip().splitlines() or [f"exit code {result.returncode}"])[-1]
+    major, minor, release = result.stdout.split(maxsplit=2)
+    return Probed((int(major), int(minor)), release.strip())
 
 
 def missing_packages() -> list[str]:

@@ -7,9 +7,10 @@ import math
 from collections import Counter
 from typing import TYPE_CHECKING
 
+from slamhive.analysis.measures import CONFIGURATION
 from slamhive.reporting.drawing import BAND, WIDTH, SeriesStyle, SvgDrawing, cut
 from slamhive.reporting.markup import parse_metric, shown
-from slamhive.reporting.scales import Scale
+from slamhive.reporting.scales import MOST_TICKS, Scale, nice_ticks
 from slamhive.reporting.titles import column_title, keys_text
 from slamhive.tables.text import counts_text, number_text
 
@@ -42,7 +43,8 @@ def board_chart(board: Board, metric: Metric) -> Markup:
     step = _NAME + lanes * _LANE + 4
     bottom = _TOP + len(entries) * step
     drawing = SvgDrawing(f"{metric.title} of each competitor on each dataset", bottom + _BELOW)
-    right = WIDTH - _FAILED
+    failing = any(one.failures or math.isinf(one.median) for entry in entries for one in entry.standings)
+    right = WIDTH - (_FAILED if failing else 24.0)
     numbers = [
         one.median * metric.factor
         for entry in entries
@@ -58,8 +60,9 @@ def board_chart(board: Board, metric: Metric) -> Markup:
         for end in (standing.summary.min, standing.summary.max)
     ]
     scale = Scale.over([*numbers, *ends], 24.0, right)
-    drawing.band(right + 6, _TOP, WIDTH - right - 6, bottom - _TOP)
-    drawing.text(right + 10, _TOP - 6, "failed")
+    if failing:
+        drawing.band(right + 6, _TOP, WIDTH - right - 6, bottom - _TOP)
+        drawing.text(right + 10, _TOP - 6, "failed")
     drawing.x_axis(scale, _TOP, bottom, metric.title)
     for place, entry in enumerate(entries):
         top = _TOP + place * step
@@ -81,30 +84,37 @@ def board_chart(board: Board, metric: Metric) -> Markup:
                 drawing.mark(scale.at(standing.median * metric.factor), y, style, title)
             else:
                 drawing.cross(right + 22, y, style, title)
-                drawing.text(right + 32, y + 4, f"{standing.n}/{standing.runs}")
+            if failures := sum(standing.failures.values()):
+                aside = 10 if math.isfinite(standing.median) else 32
+                drawing.text(right + aside, y + 4, f"{failures} of {standing.runs}", class_="small")
     return drawing.svg()
 
 
 def _standing_words(standing: Any, metric: Metric) -> str:
     median = metric.show(standing.median) if math.isfinite(standing.median) else "median run failed"
-    return f"{median} ({standing.n} of {standing.runs} runs count)"
+    return f"{median} ({standing.n + standing.copies} of {standing.runs} runs count)"
 
 
-def front_chart(front: Front, axes: tuple[str, str], names: Sequence[str], title: str) -> Markup:
+def front_chart(
+    front: Front, among: Sequence[Front], axes: tuple[str, str], names: Sequence[str], title: str
+) -> Markup:
     """Draw error over cost with the front.
 
     Args:
         front: competitors on one dataset.
+        among: all that are drawn, on axes that they share.
         axes: columns of cost and error.
         names: all competitors, in the order of the legend.
         title: what it shows.
     """
     cost, error = parse_metric(axes[0]), parse_metric(axes[1])
     spots = [spot for spot in front.spots if not math.isnan(spot.x)]
-    drawing, top = _plot(title, failures=any(math.isinf(spot.y) for spot in spots))
+    every = [spot for one in among for spot in one.spots if not math.isnan(spot.x)]
+    drawing, top = _plot(title, failures=any(math.isinf(spot.y) for spot in every))
     bottom = top + _PLOT
-    x = Scale.over((spot.x * cost.factor for spot in spots), _LEFT, WIDTH - _RIGHT)
-    ends = [end for spot in spots for end in (spot.y, *spot.y_range)]
+    costs = [end * cost.factor for spot in every for end in (spot.x, *spot.x_range)]
+    x = Scale.over(costs, _LEFT, WIDTH - _RIGHT, zero=True)
+    ends = [end for spot in every for end in (spot.y, *spot.y_range)]
     y = Scale.over((end * error.factor for end in ends), bottom, top, ticks=4)
     drawing.x_axis(x, top, bottom, cost.title)
     drawing.y_axis(y, _LEFT, WIDTH - _RIGHT, error.title)
@@ -118,13 +128,17 @@ def front_chart(front: Front, axes: tuple[str, str], names: Sequence[str], title
         name = keys_text(spot.keys)
         style = SeriesStyle(names.index(name))
         across = x.at(spot.x * cost.factor)
-        words = f"{name}: {cost.show(spot.x)} {cost.unit}, {spot.n} of {spot.runs} runs count"
+        words = f"{name}: {cost.show(spot.x)} {cost.unit}, {spot.n + spot.copies} of {spot.runs} runs count"
         if math.isinf(spot.y):
-            drawing.cross(across, top - BAND / 2, style, f"{words}; its median run failed")
+            drawing.cross(across, top - 4 - BAND / 2, style, f"{words}; its median run failed")
             continue
         low, high = (y.at(end * error.factor) for end in spot.y_range)
         if high < low:
             drawing.line((across, low), (across, high), f"range {style.colour}")
+        left, right = (x.at(end * cost.factor) for end in spot.x_range)
+        if left < right:
+            height = y.at(spot.y * error.factor)
+            drawing.line((left, height), (right, height), f"range {style.colour}")
         title = f"{words}; {error.title} {error.show(spot.y)}"
         drawing.mark(across, y.at(spot.y * error.factor), style, title, hollow=not spot.front)
     return drawing.svg()
@@ -134,10 +148,11 @@ def study_chart(made: Study, panel: StudyPanel, title: str) -> Markup:
     """Draw one panel of a study."""
     question = made.question
     metrics = parse_metric(question.x), parse_metric(question.y)
-    drawing, top = _plot(title, failures=_fails(made, panel))
+    drawing, top = _plot(title, failures=any(_fails(made, one) for one in made.panels))
     bottom = top + _PLOT
-    x = _x_scale(made, panel, metrics[0])
-    y = Scale.over(_heights(made, panel, metrics[1]), bottom, top, log=question.log[1], ticks=4)
+    x = _x_scale(made, metrics[0])
+    heights = [height for one in made.panels for height in _heights(made, one, metrics[1])]
+    y = Scale.over(heights, bottom, top, log=question.log[1], ticks=4)
     if made.categories is None:
         drawing.x_axis(x, top, bottom, _x_title(made, metrics[0]))
     else:
@@ -158,6 +173,20 @@ def study_chart(made: Study, panel: StudyPanel, title: str) -> Markup:
     return drawing.svg()
 
 
+def time_chart(title: str, seconds: Sequence[float], numbers: Sequence[float], label: str) -> Markup:
+    """Draw numbers over the seconds since a run's start."""
+    drawing, top = _plot(title, failures=False)
+    bottom = top + _PLOT
+    x = Scale(min(seconds), max(seconds) or 1.0, _LEFT, WIDTH - _RIGHT, False, nice_ticks(0, max(seconds), 5))
+    y = Scale.over([0.0, *numbers], bottom, top, log=False, ticks=4)
+    drawing.x_axis(x, top, bottom, "time since the start [s]")
+    drawing.y_axis(y, _LEFT, WIDTH - _RIGHT, label)
+    drawing.path(
+        [(x.at(second), y.at(number)) for second, number in zip(seconds, numbers, strict=True)], "c0"
+    )
+    return drawing.svg()
+
+
 def _plot(title: str, *, failures: bool) -> tuple[SvgDrawing, float]:
     """Return an empty chart, and where its axes begin."""
     top = _TOP + (BAND + 4 if failures else 0)
@@ -173,17 +202,18 @@ def _x_title(made: Study, metric: Metric) -> str:
     return f"{metric.column} [h after the first]" if kind == "time" else column_title(metric.column)
 
 
-def _x_scale(made: Study, panel: StudyPanel, metric: Metric) -> Scale:
+def _x_scale(made: Study, metric: Metric) -> Scale:
     if made.categories is not None:
         return Scale(-0.5, len(made.categories) - 0.5, _LEFT, WIDTH - _RIGHT, False, ())
-    numbers = [dot.x for dot in panel.dots] or [
-        made.place(cell.keys[made.question.x]) for cell in panel.cells
+    numbers = [dot.x for panel in made.panels for dot in panel.dots] or [
+        made.place(cell.keys[made.question.x]) for panel in made.panels for cell in panel.cells
     ]
     return Scale.over(
         (number * metric.factor for number in numbers),
         _LEFT + 8,
         WIDTH - _RIGHT - 8,
         log=made.question.log[0],
+        tried=MOST_TICKS if made.question.x.startswith(CONFIGURATION) else 0,
     )
 
 
@@ -249,13 +279,13 @@ def _draw_groups(
             failed[at - aside if crowded else at] += failures
             if failures and not crowded:
                 words = f"{keys_text(cell.keys)}: {counts_text(cell.failures)} of {cell.runs} runs"
-                drawing.cross(at, top - BAND / 2 - 7, style, words)
+                drawing.cross(at, top - 4 - 0.72 * BAND, style, words)
         if made.categories is None:
             drawing.path(way, style.colour)
     for at, count in failed.items():
         if count:
-            down = 11 if crowded else 5
-            drawing.text(at, top - down, f"{count:,}", anchor="middle", class_="small")
+            down = 0.36 if crowded else 0.07
+            drawing.text(at, top - 4 - down * BAND, f"{count:,}", anchor="middle", class_="small")
 
 
 def _crowd(made: Study, series: int) -> float:
@@ -278,6 +308,6 @@ def _draw_group(
     if median is None or not math.isfinite(median):
         return None
     point = (at, y.at(median * metric.factor))
-    words = f"{keys}: {metric.title} {metric.show(median)}, {cell.n} of {cell.runs} runs count"
+    words = f"{keys}: {metric.title} {metric.show(median)}, {cell.n + cell.copies} of {cell.runs} runs count"
     drawing.mark(*point, style, words)
     return point

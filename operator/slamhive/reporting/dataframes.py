@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 import uuid
+import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from slamhive.analysis.columns import ColumnKind
 from slamhive.analysis.selection import Selection, choose
+from slamhive.archive.connection import shown
 from slamhive.model import extras
 from slamhive.model.errors import UnknownNameError
 from slamhive.tables.homes import homes_beside, read_homes
@@ -56,7 +58,15 @@ def results(
     own = replace(home_of(place), archive_url=archive_url(place))
     others = homes_beside(own, _places(place, also), "also")
     found = read_homes(own, others, keep=False) if others else read_archive(own.archive_url)
-    chosen = choose(found, selection).frame
+    meant = choose(found, selection)
+    chosen = meant.frame
+    if not len(chosen):
+        # A chart of nothing is an empty frame, and says nothing of why.
+        asked = "; ".join(selection.sentences)
+        rows = (
+            f"{shown(own.archive_url)} has {len(found):,} rows, and none is meant{asked and f' by {asked}'}"
+        )
+        warnings.warn("; ".join((rows, *meant.notes)), stacklevel=3)
     wanted = columns.split(",") if isinstance(columns, str) else columns
     names = chosen.names if wanted is None else list(dict.fromkeys(name.strip() for name in wanted))
     chosen.require(names, "columns")

@@ -7,10 +7,11 @@ differ in shape as well, for colour-blind eyes and grey prints.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from slamhive.reporting.markup import Markup, clip, element, joined
+from slamhive.reporting.markup import Markup, clip, element, joined, shortened
 
 if TYPE_CHECKING:
     from collections.abc import Container, Sequence
@@ -88,11 +89,14 @@ class SvgDrawing:
         self.parts.append(element("path", element("title", title), d=way, class_=f"cross {style.colour}"))
 
     def x_axis(self, scale: Scale, top: float, bottom: float, title: str, *, labels: bool = True) -> None:
-        """Draw rules, their numbers and the axis' name beneath."""
+        """Draw rules, those of their numbers that have room, and the axis' name beneath."""
+        taken = -math.inf
         for tick in scale.ticks:
             x = scale.at(tick)
             self.line((x, top), (x, bottom), "rule")
-            if labels:
+            half = (len(scale.label(tick)) + 1) * _LETTER / 2
+            if labels and x - half > taken:
+                taken = x + half
                 self.text(x, bottom + 15, scale.label(tick), anchor="middle")
         self.text((scale.begin + scale.end) / 2, bottom + 32, clip(title, 60), anchor="middle", class_="name")
 
@@ -151,8 +155,8 @@ def legend(names: Sequence[str], only: Container[str] | None = None) -> Markup:
 
 
 def cut(text: str, width: float) -> str:
-    """Return as much of a text as about fits into a width."""
-    return clip(text, max(4, int(width / _LETTER)))
+    """Return as much of a text as about fits into a width: its beginning and end."""
+    return shortened(text, max(4, int(width / _LETTER)))
 
 
 def _shape(x: float, y: float, shape: int) -> str:

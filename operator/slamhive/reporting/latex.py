@@ -19,7 +19,7 @@ from slamhive.reporting.tablewords import (
     parts_text,
     plain,
 )
-from slamhive.tables.text import number_text
+from slamhive.tables.text import cost_mark, number_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,6 +47,8 @@ _SPECIAL = {
     ">": r"\textgreater{}",
     "|": r"\textbar{}",
     "†": r"\textsuperscript{\textdagger}",
+    "‡": r"\textsuperscript{\textdaggerdbl}",
+    "§": r"\textsuperscript{\S}",
     "∞": r"$\infty$",
     '"': r"\textquotedbl{}",
 }
@@ -145,7 +147,8 @@ def _blocks(table: PaperTable) -> list[tuple[str, list[str]]]:
     """Return (heading, headings beneath it) of each block of columns of numbers."""
     names = table.layout.columns
     beneath = [escaped(column_words(names, column)) for column in table.columns]
-    titles = [escaped(metric.title) for metric in table.metrics]
+    shown = [metric.column for metric in table.metrics]
+    titles = [escaped(metric.title_among(shown)) for metric in table.metrics]
     blocks = [(title, beneath) for title in titles]
     if table.overall:
         blocks.append(("Over datasets", [str(over.kind.value) for over in table.overall]))
@@ -196,10 +199,9 @@ def _cells(table: PaperTable, line: Sequence[TableCell | None], row: int) -> lis
         text = "--" if figure.value is None else escaped(number_text(figure.value, ".2f"))
         cells.append(_marked(figure, text) + parts_text(over.datasets[row]))
     if table.shows_counts and len(line) <= FEW:
-        cells += ["--" if place is None else count_text(place.n, place.runs) for place in line]
+        cells += ["--" if place is None else count_text([place]) for place in line]
     elif table.shows_counts:
-        held = [place for place in line if place is not None]
-        cells.append(count_text(sum(place.n for place in held), sum(place.runs for place in held)))
+        cells.append(count_text([place for place in line if place is not None]))
     return cells
 
 
@@ -208,7 +210,8 @@ def _figure(metric: Metric, place: TableCell | None, number: int) -> str:
         return "--"
     figure: TableNumber = place.figures[number]
     if figure.value is None:
-        return rf"\textit{{{escaped(place.verdict)}}}" if not place.n else "--"
+        failed = not place.n and not figure.published
+        return rf"\textit{{{escaped(place.verdict)}}}" if failed else "--"
     shape = metric.format or ".4g"
     text = format(figure.value, shape)
     text = _marked(figure, text)
@@ -217,6 +220,7 @@ def _figure(metric: Metric, place: TableCell | None, number: int) -> str:
         text += rf" $\pm$ {ends[0]}"
     elif ends:
         text += rf" [{ends[0]}, {ends[1]}]"
+    text += escaped(cost_mark(metric.column, reader=place.reader, late=place.late).strip())
     return text + (_DAGGER if place.untracked and not number else "")
 
 

@@ -60,6 +60,14 @@ def clip(text: Any, most: int = MOST_LETTERS) -> str:
     return found if len(found) <= most else found[: most - 1] + "…"
 
 
+def shortened(text: str, most: int) -> str:
+    """Return a text without its middle where it is long: names often differ at their ends."""
+    if len(text) <= most:
+        return text
+    end = (most - 1) // 2
+    return f"{text[: most - 1 - end].rstrip()}…{text[len(text) - end :].lstrip()}"
+
+
 def download(name: str, text: str, title: str = "CSV") -> Markup:
     """Return a link that holds a file, so that no script is needed to save it."""
     data = base64.b64encode(text.encode("utf-8", "replace")).decode()

@@ -7,12 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.grouping import Groups, varying
+from slamhive.analysis.derived import LATE_SECONDS, PACE
+from slamhive.analysis.grouping import Groups, late_notes, varies, varying
+from slamhive.analysis.measures import CAUSAL
 from slamhive.analysis.repeating import suspects
 from slamhive.model.results import Outcome
 from slamhive.reporting.markup import Markup, clip, element, joined, parse_metric, shown
 from slamhive.reporting.tables import Sheet, bold, notes_html
 from slamhive.reporting.titles import column_title, keys_text
+from slamhive.tables.timeliness import FACTOR, LATENCIES
+from slamhive.tables.words import disproportion_notes, meanings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -30,8 +34,8 @@ _RUN_COLUMNS = (
     *("run", "sweep", "algorithm", "sensors", "dataset", "repetition", "evaluation", "status", "coverage"),
 )
 _USUAL = (
-    *("ate.rmse", "rpe[0].rmse", "usage.cpu.secondsPerDataSecond", "usage.cpu.meanCores"),
-    "usage.memory.peakBytes",
+    *("ate.rmse", f"{CAUSAL}ate.rmse", "rpe[0].rmse", "usage.cpu.secondsPerDataSecond"),
+    *("usage.cpu.meanCores", "usage.memory.peakBytes", LATE_SECONDS, *LATENCIES, FACTOR),
 )
 _PROVENANCE = (
     ("provenance.slamhiveVersion", "measured with slamhive"),
@@ -69,7 +73,7 @@ def overview_section(frame: Frame, notes: Sequence[str] = ()) -> Markup:
         facts.append(("settings that vary", _listed(settings)))
     parts = [_facts(facts), _outcomes_sheet(frame).html()]
     warnings = [f"{keys_text(one.keys)}: {one.sentence}" for one in suspects(frame)]
-    return joined([*parts, notes_html([*notes, *warnings])])
+    return joined([*parts, notes_html([*notes, *warnings, *disproportion_notes(frame)])])
 
 
 def _outcomes_sheet(frame: Frame) -> Sheet:
@@ -106,25 +110,30 @@ def runs_section(frame: Frame, metric: str) -> Markup:
     """Return every run with its figures."""
     metrics = list(dict.fromkeys([metric, *_USUAL]))
     metrics = [name for name in metrics if not frame.column(name).is_empty]
-    settings = [name for name in varying(frame) if name != "repetition"][:_MOST_NAMES]
+    paces = [PACE] if varies(frame, PACE) else []
+    settings = [name for name in [*paces, *varying(frame)] if name != "repetition"][:_MOST_NAMES]
     names = [name for name in _RUN_COLUMNS if not frame.column(name).is_empty]
     order = np.lexsort(
         [frame.column(name).ranks() for name in ("repetition", "dataset", "sensors", "algorithm")]
     )
     ordered = frame.select(order)
+    # What was varied stands where it is seen without moving the table.
+    behind = names.index("algorithm") + 1 if "algorithm" in names else 0
+    names[behind:behind] = told = [name for name in settings[:4] if name not in names]
     units = [parse_metric(name) for name in metrics]
     first = ordered.select(np.arange(min(len(ordered), MOST_RUNS)))
     lines = [
         [
             *(_cell(name, row[name]) for name in names),
             *(unit.show(row[unit.column]) for unit in units),
-            *(shown(row[name]) for name in settings[:4]),
         ]
         for row in first.records(list(dict.fromkeys([*names, *metrics, *settings])))
     ]
-    headings = [*((name, name in {"repetition", "coverage"}) for name in names)]
-    headings += [(unit.title, True) for unit in units]
-    headings += [(column_title(name, settings), True) for name in settings[:4]]
+    headings = [
+        (column_title(name, names) if name in told else name, name in {"repetition", "coverage", *told})
+        for name in names
+    ]
+    headings += [(unit.title_among(metrics), True) for unit in units]
     saved = ordered.select(np.arange(min(len(ordered), MOST_SAVED)))
     wanted = list(dict.fromkeys(["uid", *_RUN_COLUMNS, "reason", "outcome", *metrics, *settings]))
     columns = {name: saved.column(name).tolist() for name in wanted}
@@ -133,7 +142,11 @@ def runs_section(frame: Frame, metric: str) -> Markup:
         caption += f"; the first {len(lines):,} are shown"
     if len(ordered) > MOST_SAVED:
         caption += f", the first {MOST_SAVED:,} are in the CSV (slamhive results export writes all)"
-    return Sheet("runs", caption, headings, lines, columns).html()
+    shown_names = [*names, *metrics]
+    sheet = Sheet("runs", caption, headings, lines, columns)
+    return joined(
+        [sheet.html(), notes_html([*meanings(frame, shown_names), *late_notes(frame, shown_names)])]
+    )
 
 
 def _cell(name: str, value: Any) -> Any:

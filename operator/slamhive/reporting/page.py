@@ -18,9 +18,11 @@ from typing import TYPE_CHECKING
 from slamhive import __version__
 from slamhive.analysis import Outcomes
 from slamhive.analysis.boards import COMPETITORS
-from slamhive.analysis.measures import measure_of
+from slamhive.analysis.grouping import aggregate
+from slamhive.analysis.measures import Better, measure_of
 from slamhive.analysis.metrics import declared_units
 from slamhive.reporting.charts import study_chart
+from slamhive.reporting.conclusions import conclusion
 from slamhive.reporting.drawing import legend
 from slamhive.reporting.markup import Markup, clip, element, joined, parse_metric, shown
 from slamhive.reporting.overview import overview_section, provenance_section, runs_of, runs_section
@@ -30,6 +32,7 @@ from slamhive.reporting.sections import (
     figure,
     fronts_section,
     leaderboard_section,
+    timeliness_section,
 )
 from slamhive.reporting.studies import study
 from slamhive.reporting.tables import Sheet, notes_html
@@ -37,13 +40,17 @@ from slamhive.reporting.titles import column_title, keys_text
 from slamhive.tables.reading import revision, with_figure
 from slamhive.tables.text import (
     as_columns,
+    cost_mark,
     failures_text,
     flat_summary,
-    n_text,
+    marked,
+    n_of_runs,
     number_text,
     range_text,
     spread_text,
 )
+from slamhive.tables.timeliness import WORDS
+from slamhive.tables.words import meanings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -105,6 +112,7 @@ def _html(frame: Frame, contents: ReportContents, stamp: datetime) -> str:
     sections = [
         ("what", "What was compared", overview_section(frame, contents.notes)),
         _ranked("leaderboard", "Leaderboard", _leaderboard_words(contents), _board(ranked, contents, left)),
+        *_timely(ranked, contents),
         _ranked("comparison", "Two by two", _COMPARED, comparison_section(ranked, *_asked(contents))),
         *_fronts(ranked, contents),
         *_studies(contents.questions),
@@ -117,17 +125,39 @@ def _html(frame: Frame, contents: ReportContents, stamp: datetime) -> str:
     ]
     links = [element("li", element("a", title, href=f"#{name}")) for name, title, _ in sections]
     counts = f"{runs_of(frame):,} runs · {stamp:%Y-%m-%d} · slamhive {__version__} · data {revision(frame)}"
-    header = element("header", element("h1", clip(contents.title, 300)), element("p", counts, class_="quiet"))
+    header = element(
+        "header",
+        element("h1", clip(contents.title, 300)),
+        element("p", counts, class_="quiet"),
+        *_findings(ranked, contents),
+    )
     navigation = element("nav", element("ul", *links), aria_label="Sections")
     return document(contents.title, joined([header, navigation, element("main", *body)]))
 
 
-def document(title: str, body: Markup) -> str:
-    """Return a page that needs nothing but itself, in the report's style."""
+def _findings(frame: Frame, contents: ReportContents) -> list[Markup]:
+    """Return the sentences on the winner and its cost, where small figures are good."""
+    if frame.column(contents.metric).is_empty or measure_of(contents.metric).better is not Better.LOWER:
+        return []
+    costs = [name for name in (*contents.costs, *CPU) if measure_of(name).better is Better.LOWER]
+    cost = next((name for name in costs if not frame.column(name).is_empty), costs[0])
+    found = aggregate(frame, [contents.metric, cost], outcomes=contents.outcomes)
+    return [element("p", " ".join(clip(one, 400) for one in conclusion(found, contents.metric, cost)))]
+
+
+def document(title: str, body: Markup, script: str = "") -> str:
+    """Return a page that needs nothing but itself, in the report's style.
+
+    Args:
+        title: of the page.
+        body: what it shows.
+        script: the only one that may run in it; empty for none.
+    """
     style = _style()
-    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
+    runs = f"script-src 'sha256-{_digest(script)}'; " if script else ""
     policy = (
-        f"default-src 'none'; style-src 'sha256-{digest}'; img-src data:; form-action 'none'; base-uri 'none'"
+        f"default-src 'none'; style-src 'sha256-{_digest(style)}'; {runs}img-src data:; form-action 'none'; "
+        "base-uri 'none'"
     )
     head = element(
         "head",
@@ -139,8 +169,13 @@ def document(title: str, body: Markup) -> str:
         element("title", clip(title, 300)),
         element("style", Markup(style)),
     )
-    page = element("html", head, element("body", body), lang="en")
+    last = element("script", Markup(script)) if script else None
+    page = element("html", head, element("body", body, last), lang="en")
     return f"<!doctype html>\n{page}\n"
+
+
+def _digest(text: str) -> str:
+    return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
 def _style() -> str:
@@ -164,7 +199,12 @@ def _asked(contents: ReportContents) -> tuple[str, tuple[str, ...], Outcomes]:
 
 def _board(frame: Frame, contents: ReportContents, left: list[str]) -> tuple[Markup, list[str]]:
     content, notes = leaderboard_section(frame, *_asked(contents))
-    return content, [*left, *notes]
+    return content, [*meanings(frame, [contents.metric, "coverage"]), *left, *notes]
+
+
+def _timely(frame: Frame, contents: ReportContents) -> list[tuple[str, str, Markup]]:
+    found = timeliness_section(frame, *_asked(contents))
+    return [_ranked("timeliness", "When poses came", WORDS, found)] if found else []
 
 
 def _leaderboard_words(contents: ReportContents) -> str:
@@ -196,8 +236,9 @@ def _fronts(frame: Frame, contents: ReportContents) -> list[tuple[str, str, Mark
     sections = []
     for number, cost in enumerate(costs):
         title = f"Accuracy against {parse_metric(cost).title}"
-        found = fronts_section(frame, (cost, contents.metric), contents.by, contents.outcomes)
-        sections.append(_ranked(f"pareto-{number + 1}", title, words, found))
+        content, notes = fronts_section(frame, (cost, contents.metric), contents.by, contents.outcomes)
+        notes = [*meanings(frame, [cost, contents.metric, "coverage"]), *notes]
+        sections.append(_ranked(f"pareto-{number + 1}", title, words, (content, notes)))
     return sections
 
 
@@ -231,7 +272,7 @@ def _study(made: Study, number: int) -> Markup:
             legend(names, {names[number] for panel in made.panels for number in made.drawn(panel)}),
             element("div", *charts, class_="grid"),
             _study_sheet(made, number).html(),
-            notes_html(made.notes),
+            notes_html([*meanings(question.frame, [question.y, "coverage"]), *made.notes]),
         ]
     )
 
@@ -253,14 +294,14 @@ def _study_sheet(made: Study, number: int) -> Sheet:
             [
                 *(shown(cell.keys[name]) for name in names),
                 _median_text(cell, metric.column),
-                spread_text(metric, summary),
+                spread_text(metric, summary) + cost_mark(metric.column, reader=cell.reader, late=cell.late),
                 range_text(metric, summary),
-                f"{n_text(cell)} / {cell.runs}" if cell.deterministic else f"{cell.n}/{cell.runs}",
+                f"{n_of_runs(cell)}{marked(cell)}",
                 number_text(cell.coverage.mean if cell.coverage else None),
                 failures_text(cell),
             ]
         )
-        row = {**cell.keys, "runs": cell.runs, "n": cell.n, "failures": cell.failures}
+        row = {**cell.keys, "runs": cell.runs, "n": cell.n, "copies": cell.copies, "failures": cell.failures}
         row |= {"median.censored": cell.figures[metric.column].censored_median}
         rows.append(row | flat_summary(metric.column, summary) | flat_summary("coverage", cell.coverage))
     caption = f"{metric.title} by {', '.join(column_title(name, names) for name in names)}"

@@ -16,7 +16,7 @@ from slamhive.reporting.tablewords import (
     parts_text,
     plain,
 )
-from slamhive.tables.text import number_text
+from slamhive.tables.text import cost_mark, number_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -43,7 +43,7 @@ def markdown(table: PaperTable, *, told: str = "", origin: Sequence[str] = ()) -
     heads = [escaped(key_title(name, table.keys)) for name in table.keys]
     above = [escaped(column_words(table.layout.columns, values)) for values in table.columns]
     for metric in table.metrics:
-        title = escaped(metric.title)
+        title = escaped(metric.title_among([one.column for one in table.metrics]))
         heads += [f"{title}, {words}" if words else title for words in above]
     heads += [f"{over.kind.value} over datasets" for over in table.overall]
     if table.shows_counts:
@@ -59,7 +59,7 @@ def markdown(table: PaperTable, *, told: str = "", origin: Sequence[str] = ()) -
                 _marked(figure, number_text(figure.value, ".2f")) + parts_text(over.datasets[number])
             )
         if table.shows_counts:
-            cells += ["–" if one is None else count_text(one.n, one.runs) for one in places]
+            cells += ["–" if one is None else count_text([one]) for one in places]
         lines.append(_line(cells))
     words = [escaped(sentence) for sentence in caption(table, told)]
     notes = [escaped(sentence) for sentence in (*footnotes(table), *origin)]
@@ -75,7 +75,7 @@ def _cell(metric: Metric, place: TableCell | None, number: int) -> str:
         return "–"
     figure = place.figures[number]
     if figure.value is None:
-        return "–" if place.n else f"*{escaped(place.verdict)}*"
+        return "–" if place.n or figure.published else f"*{escaped(place.verdict)}*"
     shape = metric.format or ".4g"
     text = _marked(figure, format(figure.value, shape))
     ends = [format(end, shape) for end in figure.spread]
@@ -83,6 +83,7 @@ def _cell(metric: Metric, place: TableCell | None, number: int) -> str:
         text += f" ± {ends[0]}"
     elif ends:
         text += f" \\[{ends[0]}, {ends[1]}\\]"
+    text += cost_mark(metric.column, reader=place.reader, late=place.late).strip()
     return text + ("†" if place.untracked and not number else "")
 
 

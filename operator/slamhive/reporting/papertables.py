@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis import Metric, Outcomes
-from slamhive.analysis.grouping import aggregate
+from slamhive.analysis.grouping import COPIED, aggregate, pooling_notes, varying
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.measures import measure_of
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError
+from slamhive.tables.text import short_name
+from slamhive.tables.words import disproportion_notes, meanings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -85,12 +87,14 @@ class TableNumber:
         spread: standard deviation, or smallest and largest; empty where not asked for or unknown.
         bold: whether it is the best.
         second: whether it comes next.
+        published: whether somebody else published it: what became of own runs says nothing of it.
     """
 
     value: float | None
     spread: tuple[float, ...] = ()
     bold: bool = False
     second: bool = False
+    published: bool = False
 
 
 @dataclass(frozen=True)
@@ -113,17 +117,23 @@ class TableCell:
     """The runs of a row under one set of column values.
 
     Attributes:
-        runs, n: runs, and those in the figures.
+        runs, n: runs, and different results of those in the figures.
+        copies: runs that repeat one of these.
         failures: runs that aren't, by what became of them.
         untracked: runs that weren't tracked, in the figures or not, by what became of them.
         figures: one a metric.
+        reader: whether figures of CPU hold the reading of the recording, or may, and others' don't.
+        late: whether memory holds frames that waited, as poses came late.
     """
 
     runs: int
     n: int
+    copies: int
     failures: dict[str, int]
     untracked: dict[str, int]
     figures: tuple[TableNumber, ...]
+    reader: bool
+    late: bool
 
     @property
     def tracked(self) -> int:
@@ -147,8 +157,10 @@ class PaperTable:
         rows: their values.
         columns: values of the layout's columns, side by side under each metric.
         places: by row and column, None where nothing was run.
-        notes: sentences on what is pooled and left out.
+        notes: sentences for its reader: what its figures mean, and over which settings they are.
+        asides: sentences for its author: what is left out, doubtful or marked elsewhere.
         overall: what stands for the rows over all datasets.
+        pooled: names of the settings that figures are over; empty where there are none.
     """
 
     layout: TableLayout
@@ -158,13 +170,20 @@ class PaperTable:
     columns: tuple[tuple[Any, ...], ...]
     places: tuple[tuple[TableCell | None, ...], ...]
     notes: tuple[str, ...]
+    asides: tuple[str, ...] = ()
     overall: tuple[OverAll, ...] = ()
+    pooled: str = ""
 
     @property
     def counts(self) -> tuple[int, int]:
-        """Smallest and largest number of runs in a figure."""
+        """Smallest and largest number of results in a figure."""
         found = [place.n for line in self.places for place in line if place is not None]
         return min(found, default=0), max(found, default=0)
+
+    @property
+    def has_copies(self) -> bool:
+        """True if any result is counted once that several runs have."""
+        return any(place.copies for line in self.places for place in line if place is not None)
 
     @property
     def has_failures(self) -> bool:
@@ -176,7 +195,7 @@ class PaperTable:
         """True if n is shown in the table: where it says more than a sentence could."""
         low, high = self.counts
         return low != high or any(
-            place.n < place.runs for line in self.places for place in line if place is not None
+            place.n + place.copies < place.runs for line in self.places for place in line if place is not None
         )
 
     @property
@@ -215,16 +234,26 @@ def make_table(frame: Frame, layout: TableLayout) -> PaperTable:
     cells = {(_identity(cell.keys, keys), _identity(cell.keys, layout.columns)): cell for cell in found.cells}
     metrics = tuple(_with_digits(metric, found.cells, layout.statistic) for metric in layout.metrics)
     shown = replace(layout, metrics=metrics)
+    names = [metric.column for metric in metrics]
+    over = [name for name in varying(frame) if name not in found.keys]
+    told = [note for note in found.notes if note not in pooling_notes(over)]
+    pooled = ", ".join(short_name(name, over) for name in over)
     places = [[_place(cells.get((line, column)), shown) for column in across] for line in lines]
     overall = _over_datasets(frame, shown, [dict(zip(keys, row, strict=True)) for row in lines.values()])
     return PaperTable(
         layout=layout,
+        pooled=pooled,
         metrics=metrics,
         keys=keys,
         rows=tuple(lines.values()),
         columns=tuple(across.values()),
         places=tuple(map(tuple, _with_best(places, list(lines.values()), shown))),
-        notes=found.notes,
+        notes=(
+            *meanings(frame, names),
+            *((f"over all tried values of {pooled}",) if pooled else ()),
+            *(note.replace(f" {COPIED}", "") for note in told if COPIED in note),
+        ),
+        asides=(*(note for note in told if COPIED not in note), *disproportion_notes(frame)),
         overall=overall,
     )
 
@@ -313,7 +342,8 @@ def flat(table: PaperTable) -> dict[str, list[Any]]:
             for over in table.overall:
                 record[f"{over.kind} over datasets"] = over.figures[number].value
             failures = sum(place.failures.values())
-            rows.append(record | {"n": place.n, "runs": place.runs, "failures": failures})
+            rows.append(record | {"n": place.n, "copies": place.copies, "runs": place.runs})
+            rows[-1]["failures"] = failures
             rows[-1]["failures.by"] = place.failures
     names = dict.fromkeys(name for row in rows for name in row)
     return {name: [row.get(name) for row in rows] for name in names}
@@ -380,7 +410,10 @@ def _place(cell: Cell | None, layout: TableLayout) -> TableCell | None:
             spread = tuple(end * metric.factor for end in ends)
         figures.append(TableNumber(value, spread))
     untracked = Counter(cell.failures) + Counter(cell.untracked)
-    return TableCell(cell.runs, cell.n, cell.failures, dict(sorted(untracked.items())), tuple(figures))
+    left_out = dict(sorted(untracked.items()))
+    return TableCell(
+        cell.runs, cell.n, cell.copies, cell.failures, left_out, tuple(figures), cell.reader, cell.late
+    )
 
 
 def _with_best(

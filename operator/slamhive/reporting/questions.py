@@ -9,7 +9,7 @@ from urllib.parse import parse_qsl
 
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.columns import ColumnKind
-from slamhive.analysis.grouping import varies, varying
+from slamhive.analysis.grouping import FACETS, varies, varying
 from slamhive.analysis.measures import CONFIGURATION
 from slamhive.model.errors import InputError
 from slamhive.tables import queries
@@ -29,7 +29,8 @@ RANKED_BY = ("ate.rmse", "relations.translation.rmse")
 
 MOST_GROUPS = 40
 MOST_QUESTIONS = 4
-_SETTINGS = ("kind", "x", "y", "colour", "facet", "outcomes", "figure", "xlog", "ylog", "title", "embed")
+_LOOKS = ("figure", "xlog", "ylog", "scales", "title", "embed")
+_SETTINGS = ("kind", "x", "y", "colour", "facet", "outcomes", *_LOOKS)
 _ARGUMENT = "analysis"
 
 
@@ -98,9 +99,14 @@ def usual_questions(frame: Frame, metric: str, outcomes: Outcomes) -> list[Quest
 
 def varied(frame: Frame) -> list[str]:
     """Return the settings that were varied, those with most values first."""
-    names = [name for name in varying(frame) if name.startswith(CONFIGURATION) and "seed" not in name.lower()]
+    names = [name for name in varying(frame) if is_setting(name)]
     counts = {name: len(frame.column(name).factorized()[1]) for name in names}
     return sorted(names, key=lambda name: -counts[name])
+
+
+def is_setting(name: str) -> bool:
+    """Tell whether a column is a setting that somebody chose, and neither a facet nor a seed."""
+    return name.startswith(CONFIGURATION) and name not in FACETS and "seed" not in name.lower()
 
 
 def _of_address(text: str, frame: Frame, outcomes: Outcomes) -> Question:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -12,6 +12,9 @@ if TYPE_CHECKING:
 
 STEEP = 25.0
 """Ratio of the largest to the smallest number from which on an axis is logarithmic."""
+
+MOST_TICKS = 12
+"""Values of a setting up to which each has a tick."""
 
 _STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
 _WHOLE = 1e-9
@@ -37,7 +40,15 @@ class Scale:
 
     @classmethod
     def over(
-        cls, numbers: Iterable[float], begin: float, end: float, *, log: bool | None = None, ticks: int = 5
+        cls,
+        numbers: Iterable[float],
+        begin: float,
+        end: float,
+        *,
+        log: bool | None = None,
+        ticks: int = 5,
+        tried: int = 0,
+        zero: bool = False,
     ) -> Scale:
         """Return an axis that holds some numbers with a little air around them.
 
@@ -47,7 +58,17 @@ class Scale:
             end: the place of its upper end.
             log: whether it is logarithmic; None where the numbers are to say.
             ticks: about how many.
+            tried: up to so many different numbers have a tick each.
+            zero: whether it begins at 0 however close the numbers are; a logarithmic one doesn't.
         """
+        scale = cls._over(numbers := list(numbers), begin, end, log=log, ticks=ticks, zero=zero)
+        values = sorted({number for number in numbers if math.isfinite(number)})
+        return replace(scale, ticks=tuple(values)) if 0 < len(values) <= tried else scale
+
+    @classmethod
+    def _over(
+        cls, numbers: Iterable[float], begin: float, end: float, *, log: bool | None, ticks: int, zero: bool
+    ) -> Scale:
         found = [number for number in numbers if math.isfinite(number)]
         low, high = min(found, default=0.0), max(found, default=1.0)
         logarithmic = low > 0 and (high / low > STEEP if log is None else log)
@@ -56,7 +77,7 @@ class Scale:
             low, high = low / air, high * air
             return cls(low, high, begin, end, True, _log_ticks(low, high, ticks))
         # An axis begins at zero unless that would press the numbers together.
-        if 0 < low < 0.6 * high:
+        if low > 0 and (zero or low < 0.6 * high):
             low = 0.0
         elif high == low:
             low, high = low - (abs(low) / 2 or 0.5), high + (abs(high) / 2 or 0.5)

@@ -20,9 +20,12 @@ from slamhive.tables.text import (
     counts_text,
     flat_summary,
     interval_text,
+    n_of_runs,
     number_text,
     range_text,
 )
+from slamhive.tables.timeliness import timeliness
+from slamhive.tables.words import meanings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -45,7 +48,7 @@ def leaderboard_section(
     """Return the leaderboards and their notes."""
     found = leaderboard(frame, metric, by, outcomes)
     unit = parse_metric(metric)
-    parts: list[Markup] = []
+    parts: list[Markup] = [element("p", found.pooling)] if found.pooling else []
     boards = sorted(found.boards, key=lambda board: len(board.entries) < 2)
     for number, board in enumerate(boards[:MOST_BOARDS], 1):
         parts.append(element("h3", _board_title(board.facets, board.datasets)))
@@ -59,6 +62,36 @@ def leaderboard_section(
     left = len(found.boards) - MOST_BOARDS
     notes = [*found.notes, *([f"{left} further boards with fewer runs are left out"] if left > 0 else [])]
     return joined(parts), notes
+
+
+def timeliness_section(
+    frame: Frame, metric: str, by: Sequence[str], outcomes: Outcomes
+) -> tuple[Markup, list[str]] | None:
+    """Return the table of what was known when, and its notes; None where no run was played to."""
+    found = timeliness(frame, metric, by, outcomes)
+    if found is None:
+        return None
+    units = [parse_metric(name) for name in found.metrics]
+    headings = [(column_title(name, found.keys), False) for name in found.keys]
+    headings += [(unit.title_among(found.metrics), True) for unit in units] + [("n/runs", True)]
+    lines, rows = [], []
+    for cell in found.cells:
+        summaries = {name: figure.summary for name, figure in cell.figures.items()}
+        medians = {name: one.median if one else None for name, one in summaries.items()}
+        lines.append(
+            [
+                *(shown(value) for value in cell.keys.values()),
+                *(unit.show(medians[unit.column]) for unit in units),
+                n_of_runs(cell),
+            ]
+        )
+        flat = {
+            key: value for name, one in summaries.items() for key, value in flat_summary(name, one).items()
+        }
+        rows.append({**cell.keys, "runs": cell.runs, "n": cell.n, **flat})
+    caption = "Causal and final errors, latency and real-time factor"
+    sheet = Sheet("timeliness", caption, headings, lines, as_columns(rows))
+    return sheet.html(), [*meanings(frame, found.metrics), *found.notes]
 
 
 def _has_medians(board: Board) -> bool:
@@ -82,12 +115,12 @@ def _board_sheet(board: Board, metric: Metric, number: int) -> Sheet:
         ratio = "failed" if math.isinf(entry.ratio) else number_text(entry.ratio)
         lines.append(
             [
-                bold(number_text(entry.rank, "g")),
+                entry.unranked or bold(number_text(entry.rank, "g")),
                 interval_text(entry.rank_interval),
                 *(shown(value) for value in entry.keys.values()),
                 number_text(entry.score, ".2f"),
                 ratio,
-                f"{entry.n}/{entry.runs}",
+                n_of_runs(entry),
                 *(_standing(here.get(str(dataset)), metric) for dataset in board.datasets),
             ]
         )
@@ -102,7 +135,7 @@ def _standing(standing: Standing | None, metric: Metric) -> Markup:
     median = bold("failed" if math.isinf(standing.median) else number_text(None))
     if math.isfinite(standing.median):
         median = bold(metric.show(standing.median))
-    words = [f"n {standing.n}/{standing.runs}"]
+    words = [f"n {n_of_runs(standing)}"]
     if standing.summary is not None and standing.n > 1:
         words.insert(0, range_text(metric, standing.summary))
     if standing.coverage is not None:
@@ -125,6 +158,7 @@ def _standing_row(board: Board, entry: Entry, standing: Standing) -> dict[str, A
         "dataset": standing.dataset,
         "runs": standing.runs,
         "n": standing.n,
+        "copies": standing.copies,
         "failures": standing.failures,
         "median.censored": standing.median,
         "dataset.rank": standing.rank,
@@ -206,7 +240,7 @@ def fronts_section(
     charts = []
     for front in drawn[:MOST_FRONTS]:
         title = keys_text(front.facets) or "all runs"
-        charts.append(figure(title, front_chart(front, axes, names, title)))
+        charts.append(figure(title, front_chart(front, drawn[:MOST_FRONTS], axes, names, title)))
     left = len(drawn) - len(charts)
     more = [f"{left} further charts with fewer runs are left out; the table has them"] if left else []
     if unknown := sum(math.isnan(spot.x) for front in drawn for spot in front.spots):
@@ -240,7 +274,7 @@ def _fronts_sheet(fronts: Sequence[Front], axes: tuple[str, str]) -> Sheet:
                 *(shown(value) for value in keys),
                 "–" if math.isnan(spot.x) else cost.show(spot.x),
                 "failed" if math.isinf(spot.y) else error.show(spot.y),
-                f"{spot.n}/{spot.runs}",
+                n_of_runs(spot),
                 number_text(spot.coverage),
                 counts_text(spot.failures),
                 "yes" if spot.front else "",
@@ -260,6 +294,7 @@ def _spot_row(front: Front, spot: Spot, axes: tuple[str, str]) -> dict[str, Any]
         axes[1]: spot.y,
         "runs": spot.runs,
         "n": spot.n,
+        "copies": spot.copies,
         "failures": spot.failures,
         "coverage": spot.coverage,
         "front": spot.front,

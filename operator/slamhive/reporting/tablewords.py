@@ -14,7 +14,7 @@ from slamhive.reporting.titles import column_title, keys_text
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from slamhive.reporting.papertables import PaperTable
+    from slamhive.reporting.papertables import PaperTable, TableCell
 
 _MOST_FAILURES = 12
 _GIVEN = ("parameters.", "dataset.attributes.", "label.")
@@ -48,12 +48,14 @@ def caption(table: PaperTable, told: str) -> list[str]:
     what = "Mean" if layout.statistic is Statistic.MEAN else "Median"
     if layout.spread:
         what += " ± standard deviation" if layout.statistic is Statistic.MEAN else " [range]"
+        what += f" (of settings, {table.pooled}, not of repetitions alone)" if table.pooled else ""
     told = told.strip()
     if told and not told.endswith((".", "!", "?", "…")):
         told += "."
     count = f"n = {low}" if low == high else f"n = {low} to {high}"
     sentences = [told] if told else []
-    sentences.append(f"{what} over {runs}, {count} each.")
+    of = f"the different results of {runs}" if table.has_copies else runs
+    sentences.append(f"{what} over {of}, {count} each.")
     figures = [one for line in table.places for place in line if place for one in place.figures]
     figures += [one for over in table.overall for one in over.figures]
     if any(one.bold for one in figures):
@@ -65,6 +67,8 @@ def caption(table: PaperTable, told: str) -> list[str]:
         ends = any(math.isinf(one.value or 0.0) for over in table.overall for one in over.figures)
         last = "; ∞: of a dataset the median run failed" if ends else ""
         sentences.append(f"{words[:1].upper()}{words[1:]}; runs that failed are behind all others{last}.")
+        if any(one.value is None for over in table.overall for one in over.figures):
+            sentences.append("Without a rank: no run counts on any dataset.")
         if any(on < of for over in table.overall for on, of in over.datasets):
             sentences.append("In parentheses: on how many datasets of all, where some are missing.")
     if table.has_failures:
@@ -82,7 +86,7 @@ def is_grouped(table: PaperTable) -> bool:
 
 
 def footnotes(table: PaperTable) -> list[str]:
-    """Return the sentences beneath a table: what became of runs that were not tracked, and what is pooled."""
+    """Return the sentences beneath a table: what became of runs that were not tracked, what numbers mean."""
     found = []
     failures = table.failures
     for row, column, words in failures[:_MOST_FAILURES]:
@@ -102,9 +106,13 @@ def parts_text(datasets: tuple[int, int]) -> str:
     return f" ({on}/{of})" if on < of else ""
 
 
-def count_text(n: int, runs: int) -> str:
-    """Return the number of runs in a figure, as text."""
-    return str(n) if n == runs else f"{n}/{runs}"
+def count_text(places: Sequence[TableCell]) -> str:
+    """Return the number of results in figures, as text, and of how many runs where some are left out."""
+    n, runs = sum(place.n for place in places), sum(place.runs for place in places)
+    counted = n + sum(place.copies for place in places)
+    if counted == runs:
+        return str(n)
+    return f"{n}/{runs}" if n == counted else f"{n} ({counted}/{runs})"
 
 
 def plain(value: Any) -> str:

@@ -10,12 +10,12 @@ from slamhive.analysis.metrics import title_of
 from slamhive.reporting.markup import parse_metric, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Collection, Iterable, Mapping
 
 _READER = {True: "reader included", False: "reader not included"}
 
 
-def column_title(name: str, among: Iterable[str] = ()) -> str:
+def column_title(name: str, among: Collection[str] = ()) -> str:
     """Return a column's name for people, with its unit.
 
     Args:
@@ -40,7 +40,7 @@ def keys_text(
     )
 
 
-def _named(name: str, value: Any, among: Iterable[str], text: Callable[[Any], str]) -> str:
+def _named(name: str, value: Any, among: Collection[str], text: Callable[[Any], str]) -> str:
     if name == "usage.includesReader":
         return _READER.get(value, "reader unknown")
     title, _, unit = column_title(name, among).partition(" [")

@@ -114,8 +114,9 @@ def sensor_times(
 ) -> Floats | None:
     """Return the sensor times at which samples of a run's load were taken, (n,) in s; None where unknown.
 
-    Known in real time alone, where the player noted by the wall clock when it played each frame. In
-    lockstep a program takes whatever time it needs for a frame, and nobody notes it.
+    Known of runs that were played to, where the player noted by the wall clock when it played each frame. In
+    Lockstep a program takes whatever time it needs for a frame, and nobody notes it; in Stepped sensor time
+    stands before a frame while the last one is worked on.
 
     Args:
         since_start: s since the program's start, (n,).
@@ -126,7 +127,9 @@ def sensor_times(
     rate = _number(configuration, "input", "rate") or 1.0
     given = configuration.get("input")
     pace = given.get("pace") if isinstance(given, dict) else None
-    if pace != Pace.REALTIME.value or record.started is None or record.usage is None:
+    if pace not in [one.value for one in Pace if one.is_played]:
+        return None
+    if record.started is None or record.usage is None:
         return None
     try:
         table = read_numbers(place, LATENCIES, _arrivals, headed=True).rows
@@ -136,8 +139,29 @@ def sensor_times(
         return None
     began = record.started.timestamp()
     stamps, arrivals = table[:, 0], table[:, 1] - began
+    if pace == Pace.STEPPED.value:
+        return _stepped(since_start, stamps, arrivals, rate)
     # The median frame: single ones may have been late.
     return since_start * rate + float(np.median(stamps - arrivals * rate))
+
+
+def _stepped(since_start: Floats, stamps: Floats, arrivals: Floats, rate: float) -> Floats:
+    """Return sensor times between frames, each of which was played when it was its turn, (n,) in s.
+
+    Before a frame time stands, and then goes on as the clock does; beyond the first and last frame too.
+
+    Args:
+        since_start: s since the program's start, (n,).
+        stamps: of the frames, s, (k,).
+        arrivals: when they were played, s since the program's start, (k,).
+        rate: speed of playback.
+    """
+    order = np.argsort(arrivals, kind="stable")
+    stamps, arrivals = stamps[order], arrivals[order]
+    last = np.maximum(np.searchsorted(arrivals, since_start, side="right") - 1, 0)
+    following = np.append(stamps[1:], np.inf)
+    found: Floats = np.minimum(stamps[last] + (since_start - arrivals[last]) * rate, following[last])
+    return found
 
 
 def _arrivals(lines: bytes) -> npt.NDArray[np.float64]:

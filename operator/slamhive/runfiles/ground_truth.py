@@ -114,10 +114,11 @@ def _of_home(home: Path, dataset: str) -> DatasetTruth | None:
     from slamhive.local.home.folder import Home  # noqa: PLC0415
 
     place = load_datasets(Home.at(home)).get(dataset)
-    if place is None or place.dataset.spec.recording.synthetic is not None:
+    is_made_here = place is not None and place.dataset.spec.recording.synthetic is not None
+    if place is None or (is_made_here and place.dataset.spec.repair is None):
         made = _generated(home, place.dataset if place is not None else None, dataset)
         return DatasetTruth(read_tum(made), np.eye(4)) if made is not None else None
-    if place.dataset.spec.is_to_fetch:
+    if is_made_here or place.dataset.spec.is_to_fetch:
         from slamhive.data.store.datasets import is_made, materialise  # noqa: PLC0415
         from slamhive.local.home.catalog import DatasetPlace  # noqa: PLC0415
 

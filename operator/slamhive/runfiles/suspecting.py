@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.model.results import Outcome
+from slamhive.model.sensors import SensorMode
 from slamhive.runfiles.clocks import configuration_of
 from slamhive.runfiles.errors import RunFileError
 from slamhive.runfiles.trajectories import extrinsic_of, read_poses
@@ -36,11 +38,13 @@ class LocatedRun:
         record: The run.
         place: Its folder; None where that isn't here.
         is_scaled: Whether it was aligned with a scale, as it has none of its own.
+        absence: Why the folder isn't here; None where nobody knows.
     """
 
     record: RunRecord
     place: ArtifactFolder | None
     is_scaled: bool = False
+    absence: str | None = None
 
 
 @dataclass
@@ -70,6 +74,25 @@ class DatasetSuspects:
             "leftOut": self.left_out,
             "found": None if self.found is None else self.found.as_dict(),
         }
+
+
+TRACKED_COLUMNS = ("dataset", "algorithm", "uid", "outcome", "sensors")
+"""Columns of a table of runs by which `tracked_systems` groups them."""
+
+
+def tracked_systems(rows: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, dict[str, bool]]]:
+    """Return the runs that tracked, by dataset, algorithm and UID: whether each has no scale of its own.
+
+    Args:
+        rows: Runs, with `TRACKED_COLUMNS`. A dataset is there without a run that tracked, too.
+    """
+    datasets: dict[str, dict[str, dict[str, bool]]] = {}
+    for row in rows:
+        systems = datasets.setdefault(str(row["dataset"]), {})
+        if row["outcome"] == Outcome.TRACKED.value:
+            runs = systems.setdefault(str(row["algorithm"]), {})
+            runs.setdefault(str(row["uid"]), row["sensors"] == SensorMode.MONO)
+    return datasets
 
 
 def suspects_of(
@@ -118,7 +141,7 @@ def _in_truths_frame(run: LocatedRun, truth: DatasetTruth, algorithms: list[Cata
         RunFileError: They can't be had.
     """
     if run.place is None:
-        raise RunFileError("its folder is not here")
+        raise RunFileError(run.absence or "its folder is not here")
     poses = read_poses(run.place).poses
     if run.is_scaled:
         return poses

@@ -11,7 +11,9 @@ import numpy as np
 from slamhive.model.algorithm import AlgorithmSpec
 from slamhive.model.errors import SlamHiveError
 from slamhive.model.results import MemoryKind
+from slamhive.model.run import Perturbation
 from slamhive.model.sensors import SensorMode
+from slamhive.plan.misleading import right_pose
 from slamhive.runfiles.errors import FileMissingError
 from slamhive.runfiles.numberfiles import numbers_of, read_numbers, stacked
 from slamhive_eval import Trajectory, associate
@@ -244,7 +246,9 @@ def extrinsic_of(
         output = spec.output_of(spec.mode(SensorMode(configuration["mode"])))
         pose = np.eye(4)
         if output.frame != "body":
-            pose = np.array(configuration["sensors"][output.frame]["T_body_sensor"], dtype=np.float64)
+            asked = (record.spec.get("input") or {}).get("perturb")
+            perturb = Perturbation.model_validate(asked) if asked else None
+            pose = right_pose(configuration["sensors"][output.frame]["T_body_sensor"], output.frame, perturb)
     except (SlamHiveError, ValueError, KeyError, TypeError, OverflowError):
         return None
     return np.linalg.inv(truth.T_body_frame) @ pose if pose.shape == (4, 4) else None

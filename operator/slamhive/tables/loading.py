@@ -66,7 +66,7 @@ _NOTHING = int(np.array([None], dtype=np.float64).view(np.uint64)[0])
 _FACTOR = 0x9E3779B97F4A7C15
 _CHANGES = (
     *("phase", "reason", "attempts", "sweep", "sweep_uid", "finished", "cpu_seconds", "wall_seconds"),
-    *("cluster", "dataset", "evaluations"),
+    *("cluster", "dataset", "note", "tags", "evaluations"),
 )
 _RESULT_CHANGES = (
     *("run_id", "evaluation", "outcome", "coverage", "alignment", "ate_rmse", "rpe_rmse", "scale"),

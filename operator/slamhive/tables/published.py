@@ -7,8 +7,9 @@ the dashboard ask here.
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,20 +17,27 @@ import yaml
 from pydantic import ValidationError
 
 import slamhive
+from slamhive.analysis.measures import is_error
 from slamhive.analysis.metrics import Metric
 from slamhive.model.base import explain
-from slamhive.model.errors import InputError
+from slamhive.model.catalogue import load_catalogue, sequence_attributes
+from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.published import PublishedNumbers, PublishedStatistic
+from slamhive.tables.verdicts import Agreement, Assessment, OwnRuns, alignment_words, plain_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from slamhive.analysis.frame import Frame
+    from slamhive.model.catalogue import Family
     from slamhive.model.published import PublishedRow, PublishedSource, PublishedTable
 
 FOLDER = "published"
 BUNDLED = Path(slamhive.__file__).parent / FOLDER
 _MOST_BYTES = 2**22
+_MOST_PLACES = 3
+_CLOSE = 0.75
+"""Likeness from which on a name is a misspelt other one."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +49,9 @@ class Published:
         row, table, source: what was published.
         values: numbers in stored units, by column.
         differences: why own numbers may differ, a sentence each.
+        verdicts: on own runs beside these numbers, by column; of errors alone.
+        other: why the recording here is another one than the sequence; empty where it isn't known to be.
+        along: whether it comes with slamhive.
     """
 
     dataset: str
@@ -49,6 +60,22 @@ class Published:
     source: PublishedSource
     values: dict[str, float]
     differences: tuple[str, ...] = ()
+    verdicts: dict[str, Assessment] = field(default_factory=dict)
+    other: str = ""
+    along: bool = False
+
+    @property
+    def is_unrun(self) -> bool:
+        """Tell whether no own run is of this system."""
+        return {Agreement.NOT_RUN} == {one.verdict for one in self.verdicts.values()}
+
+    @property
+    def is_drawn(self) -> bool:
+        """Tell whether charts show it: on this recording, and of a system that was run or that was added.
+
+        All that come with slamhive would hide own runs.
+        """
+        return not self.other and not (self.along and self.is_unrun)
 
     @property
     def system(self) -> str:
@@ -80,6 +107,8 @@ class Published:
             "dataset": self.dataset,
             **{f"published.parameters.{name}": value for name, value in row.parameters.items()},
             **{f"published.{name}": value for name, value in self.values.items()},
+            **{f"published.{name}.own": judged.own for name, judged in self.verdicts.items()},
+            **{f"published.{name}.verdict": judged.sentence for name, judged in self.verdicts.items()},
         }
 
 
@@ -90,13 +119,20 @@ def read_published(path: Path) -> PublishedNumbers:
         InputError: it can't be read, or isn't one; names the field.
     """
     try:
+        return _read(path, path.stat().st_mtime_ns)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from None
+
+
+@lru_cache(maxsize=64)
+def _read(path: Path, _changed: int) -> PublishedNumbers:
+    """Read a file; one that hasn't changed is read once."""
+    try:
         with path.open("rb") as file:
             text = file.read(_MOST_BYTES + 1)
         if len(text) > _MOST_BYTES:
             raise InputError(f"{path}: more than {_MOST_BYTES >> 20} MiB")
-        content = yaml.safe_load(text)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from None
+        content = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # noqa: S506 - a safe loader
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: no YAML: {' '.join(str(error).split())[:300]}") from None
     try:
@@ -109,6 +145,49 @@ def read_published(path: Path) -> PublishedNumbers:
         for name in {name for row in table.rows for name in row.values}:
             _metric(table, name, f"{path}: {table.place}")
     return numbers
+
+
+def check_names(numbers: PublishedNumbers, path: Path) -> list[str]:
+    """Check the names of sequences against the catalogue; return remarks on those that nobody knows.
+
+    Raises:
+        InputError: a sequence of a family isn't one of it, or a row's dataset is a misspelt one.
+    """
+    catalogue = load_catalogue()
+    known = _checked_families(numbers, catalogue, path)
+    remarks = [
+        f"{path.name}: family {family!r} is none of the catalogue; did you mean {close[0]!r}?"
+        for family in numbers.families
+        if family not in catalogue and (close := get_close_matches(family, catalogue, 1, _CLOSE))
+    ]
+    every = known or {name for family in catalogue.values() for name in family.rows}
+    for place, table in enumerate(numbers.tables):
+        for name in dict.fromkeys(row.dataset for row in table.rows):
+            close = [] if name in every else get_close_matches(name, sorted(every), 1, _CLOSE)
+            if close and known:
+                where = f"{path}: tables.{place} ({table.place})"
+                raise InputError(
+                    f"{where}: dataset {name!r} is in none of the families; did you mean {close[0]!r}?"
+                )
+            if close:
+                remarks.append(f"{path.name}: no sequence {name!r} is known; did you mean {close[0]!r}?")
+    return remarks
+
+
+def _checked_families(numbers: PublishedNumbers, catalogue: Mapping[str, Family], path: Path) -> set[str]:
+    """Return the sequences of a file's families, and all others of those that the catalogue has."""
+    known = {name for own in numbers.families.values() for name in own}
+    for family, members in numbers.families.items():
+        if family not in catalogue:
+            continue
+        for name in members:
+            if name not in catalogue[family].rows:
+                raise UnknownNameError("sequence", name, catalogue[family].rows, f"{path}: families.{family}")
+        known |= set(catalogue[family].rows)
+    for name in numbers.lengths:
+        if known and name not in known:
+            raise UnknownNameError("sequence", name, known, f"{path}: lengths")
+    return known
 
 
 def published_files(home: Path | None) -> list[Path]:
@@ -127,7 +206,7 @@ def load_published(home: Path | None) -> list[PublishedNumbers]:
 
 
 def published_on(frame: Frame, known: Iterable[PublishedNumbers]) -> list[Published]:
-    """Return the published rows on the datasets of some runs, with why own numbers may differ.
+    """Return the published rows on the datasets of some runs, those of systems that weren't run last.
 
     A sequence is a dataset of the runs if their names are equal but for case and punctuation, if the dataset
     is called FAMILY-SEQUENCE by a family of the file, or if its attribute ``sequence`` is the sequence.
@@ -137,38 +216,78 @@ def published_on(frame: Frame, known: Iterable[PublishedNumbers]) -> list[Publis
         known: all published numbers.
     """
     names = _identities(frame)
-    own: dict[str, _Own] = {}
+    along = load_published(None)
+    own: dict[tuple[str, str, float | None, float | None], tuple[_Own, OwnRuns]] = {}
     found = []
     for numbers in known:
-        families = {name: family for family, members in numbers.families.items() for name in members}
+        comes_along = numbers in along
+        families: dict[str, list[str]] = {}
+        lengths: dict[str, tuple[float | None, float | None]] = {}
+        for family, members in numbers.families.items():
+            for name in members:
+                families.setdefault(name, []).append(family)
         for table in numbers.tables:
             for row in table.rows:
-                family = families.get(row.dataset)
-                meant = [plain_name(row.dataset)]
-                meant += [plain_name(f"{family}-{row.dataset}")] if family else []
-                dataset = next((names[name] for name in meant if name in names), None)
-                if dataset is None:
-                    continue
-                if dataset not in own:
-                    own[dataset] = _Own.of(frame, dataset)
-                values = {name: value / _metric(table, name).factor for name, value in row.values.items()}
-                why = tuple(_differences(table, row, own[dataset]))
-                found.append(Published(dataset, row, table, numbers.source, values, why))
-    return found
+                of = families.get(row.dataset, [])
+                meant = [plain_name(row.dataset), *(plain_name(f"{one}-{row.dataset}") for one in of)]
+                for dataset in dict.fromkeys(names[name] for name in meant if name in names):
+                    if row.dataset not in lengths:
+                        lengths[row.dataset] = _lengths(numbers, of, row.dataset)
+                    metres, seconds = lengths[row.dataset]
+                    key = (dataset, row.dataset, metres, seconds)
+                    if key not in own:
+                        chosen = _of_dataset(frame, dataset)
+                        own[key] = (_Own.of(chosen), OwnRuns(chosen, row.dataset, metres, seconds))
+                    item = _published(dataset, row, table, numbers.source, own[key])
+                    found.append(replace(item, along=comes_along))
+    return sorted(found, key=lambda item: item.is_unrun)
 
 
-def plain_name(name: str) -> str:
-    """Return a name of a sequence without case and punctuation: ``MH_01_easy`` is ``mh-01-easy``."""
-    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")
+def _published(
+    dataset: str, row: PublishedRow, table: PublishedTable, source: PublishedSource, own: tuple[_Own, OwnRuns]
+) -> Published:
+    alignments, runs = own
+    factors = {name: _metric(table, name).factor for name in row.values}
+    values = {name: value / factors[name] for name, value in row.values.items()}
+    spreads = {name: value / factors[name] for name, value in row.spreads.items() if name in factors}
+    verdicts = {
+        name: runs.judge(table, row, name, value, spreads.get(name))
+        for name, value in values.items()
+        if is_error(name)  # load is that of another machine
+    }
+    why = tuple(_differences(table, row, alignments))
+    other = runs.why if runs.is_other else ""
+    return Published(dataset, row, table, source, values, why, verdicts, other)
+
+
+def _of_dataset(frame: Frame, dataset: str) -> Frame:
+    codes, values = frame.column("dataset").factorized()
+    return frame.select(codes == values.index(dataset))
+
+
+def _lengths(
+    numbers: PublishedNumbers, families: Sequence[str], sequence: str
+) -> tuple[float | None, float | None]:
+    """Return a sequence's length in m and in s: as the catalogue has it, else the file."""
+    said = next((one for family in families if (one := sequence_attributes(family, sequence))), {})
+    metres, seconds = said.get("lengthMetres"), said.get("durationSeconds")
+    return (
+        float(metres) if metres is not None else numbers.lengths.get(sequence),
+        float(seconds) if seconds is not None else None,
+    )
 
 
 def table_of(found: Sequence[Published], metrics: Sequence[Metric]) -> tuple[list[str], list[list[str]]]:
     """Return headings and lines of a table of published rows that have one of the metrics."""
     headings = ["published", "system", "sensors", "settings", "dataset", *(one.title for one in metrics)]
+    errors = [metric for metric in metrics if is_error(metric.column)]
     lines = []
     for item in found:
         if not any(metric.column in item.values for metric in metrics):
             continue
+        told = {one.title: item.verdicts[one.column] for one in errors if one.column in item.verdicts}
+        said = list(dict.fromkeys(judged.sentence for judged in told.values()))
+        verdict = said[0] if len(said) == 1 else "; ".join(f"{one}: {told[one].sentence}" for one in told)
         table, row = item.table, item.row
         parameters = ", ".join(f"{name} {value}" for name, value in row.parameters.items())
         numbers = [metric.show(item.values.get(metric.column)) for metric in metrics]
@@ -180,17 +299,30 @@ def table_of(found: Sequence[Published], metrics: Sequence[Metric]) -> tuple[lis
                 parameters or "–",
                 item.dataset,
                 *numbers,
+                verdict or "–",
                 _statistic(table),
                 str(table.alignment or "not said"),
                 row.notes or "",
             ]
         )
-    return [*headings, "of", "alignment", "notes"], lines
+    return [*headings, "own runs", "of", "alignment", "notes"], lines
 
 
-def differences_of(found: Iterable[Published]) -> list[str]:
-    """Return the reasons that own numbers may differ from published ones, each once."""
-    return list(dict.fromkeys(sentence for item in found for sentence in item.differences))
+def differences_of(found: Sequence[Published]) -> list[str]:
+    """Return the reasons that own numbers may differ from published ones, each once, with where it holds.
+
+    Systems that were run here are meant, where there are any.
+    """
+    places: dict[str, dict[str, None]] = {}
+    for item in [one for one in found if not one.is_unrun] or found:
+        for sentence in item.differences:
+            places.setdefault(sentence, {})[item.where] = None
+    return [f"{_some([*where])}: {sentence}" for sentence, where in places.items()]
+
+
+def _some(places: Sequence[str]) -> str:
+    more = len(places) - _MOST_PLACES
+    return "; ".join([*places[:_MOST_PLACES], *([f"{more} more"] if more > 0 else [])])
 
 
 @dataclass(frozen=True)
@@ -200,42 +332,38 @@ class _Own:
     alignments: frozenset[str]
 
     @classmethod
-    def of(cls, frame: Frame, dataset: str) -> _Own:
-        places = [k for k, name in enumerate(frame.column("dataset").tolist()) if name == dataset]
-        alignments = frame.column("alignment").tolist()
-        known = [str(alignments[k]) for k in places if alignments[k] is not None]
-        return cls(frozenset(known))
+    def of(cls, frame: Frame) -> _Own:
+        return cls(frozenset(alignment_words(frame)))
 
 
 def _differences(table: PublishedTable, row: PublishedRow, own: _Own) -> Iterable[str]:
     """Say what may make own numbers differ; what is known of both is compared."""
-    where = table.place
     if table.alignment is None:
-        yield f"{where}: the alignment isn't said; SE(3) keeps errors of scale, Sim(3) takes them out"
+        yield "the alignment isn't said; SE(3) keeps errors of scale, Sim(3) takes them out"
     elif own.alignments and str(table.alignment).lower() not in {one.lower() for one in own.alignments}:
         yield (
-            f"{where}: aligned by {table.alignment}, own runs by {', '.join(sorted(own.alignments))}; "
+            f"aligned by {table.alignment}, own runs by {', '.join(sorted(own.alignments))}; "
             "measure them alike by an Evaluation"
         )
     yield (
-        f"{where}: measured are {table.poses}; own runs are measured at every pose that they wrote"
+        f"measured are {table.poses}; own runs are measured at every pose that they wrote"
         if table.poses
-        else f"{where}: whether keyframes or all poses are measured isn't said, nor whether they are causal "
+        else "whether keyframes or all poses are measured isn't said, nor whether they are causal "
         "or final ones"
     )
     if table.statistic is PublishedStatistic.BEST:
-        yield f"{where}: the best of {table.runs or 'several'} runs; own tables have means and medians"
+        yield f"the best of {table.runs or 'several'} runs; own tables have means and medians"
     elif table.runs == 1:
-        yield f"{where}: a single run; its spread isn't known"
+        yield "a single run; its spread isn't known"
     if table.frame is not None:
-        yield f"{where}: poses of the {table.frame}; own runs are measured in the frame that they wrote"
+        yield f"poses of the {table.frame}; own runs are measured in the frame that they wrote"
     yield (
-        f"{where}: against {table.truth}"
+        f"against {table.truth}"
         if table.truth
-        else f"{where}: against the publishers' ground truth of that time; was it corrected since?"
+        else "against the publishers' ground truth of that time; was it corrected since?"
     )
     if row.notes:
-        yield f"{where}, {row.system} on {row.dataset}: {row.notes}"
+        yield f"{row.system} on {row.dataset}: {row.notes}"
 
 
 def _statistic(table: PublishedTable) -> str:

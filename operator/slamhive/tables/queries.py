@@ -67,7 +67,9 @@ def within(field: str) -> Iterator[None]:
         raise QueryError(str(error), field, getattr(error, "position", None)) from None
 
 
-def select(frame: Frame, pairs: Pairs, reserved: Iterable[str], *, each: bool = False) -> Chosen:
+def select(
+    frame: Frame, pairs: Pairs, reserved: Iterable[str], *, each: bool = False, always: bool = False
+) -> Chosen:
     """Return the rows that the filters of a query string mean, current ones alone unless they ask for more.
 
     Args:
@@ -75,6 +77,7 @@ def select(frame: Frame, pairs: Pairs, reserved: Iterable[str], *, each: bool = 
         pairs: names and values of the query string; ``superseded=1`` asks for earlier versions too.
         reserved: names that mean something else to the request.
         each: whether runs are meant one by one: those of equal content too, and unfinished ones.
+        always: whether earlier versions are meant whether or not they are asked for.
 
     Raises:
         QueryError: with the parameter that is wrong.
@@ -83,7 +86,7 @@ def select(frame: Frame, pairs: Pairs, reserved: Iterable[str], *, each: bool = 
     asked = [value for name, value in pairs if name == SUPERSEDED]
     if asked and asked[-1] not in {"0", "1", "false", "true"}:
         raise QueryError(f"{SUPERSEDED}: expected 0 or 1, found {asked[-1][:40]!r}", SUPERSEDED)
-    superseded = bool(asked) and asked[-1] in {"1", "true"}
+    superseded = always or (bool(asked) and asked[-1] in {"1", "true"})
     return meeting(frame, node, superseded=superseded, each=each)
 
 

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import json
 import math
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
+from slamhive.analysis.grouping import CPU, LATE, MARK, MEMORY, READER
 from slamhive.analysis.metrics import Metric, name_of, with_unit
 
 if TYPE_CHECKING:
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
 
     from slamhive.analysis.cells import Cell
     from slamhive.analysis.grouping import Aggregate
+    from slamhive.analysis.leaderboard import Entry, Standing
+    from slamhive.analysis.pareto import Spot
     from slamhive.analysis.statistics import Interval, Summary
 
 PARTS = ("n", "mean", "std", "median", "min", "max")
@@ -43,6 +47,11 @@ def value_text(metric: Metric, value: Any) -> str:
     if isinstance(value, float) or (isinstance(value, int) and (metric.format or metric.factor != 1)):
         return metric.show(value)
     return json.dumps(value) if isinstance(value, list | dict) else str(value)
+
+
+def time_text(value: str | None) -> str:
+    """Return a stored time as people read it, on their clock."""
+    return "–" if value is None else f"{datetime.fromisoformat(value).astimezone():%Y-%m-%d %H:%M}"
 
 
 def key_text(value: Any) -> str:
@@ -91,7 +100,7 @@ def number_text(value: float | None, shape: str = ".3g") -> str:
 
 def interval_text(interval: Interval | None) -> str:
     """Return an interval as text."""
-    if interval is None:
+    if interval is None or math.isnan(interval.low):
         return "–"
     return f"{number_text(interval.low)} – {number_text(interval.high)}"
 
@@ -102,8 +111,34 @@ def counts_text(counts: Mapping[str, int]) -> str:
 
 
 def n_text(cell: Cell) -> str:
-    """Return the number of runs that count, with = where all of them are one and the same result."""
-    return f"{cell.n} =" if cell.deterministic else str(cell.n)
+    """Return the number of results that count, with = where further runs repeat one of them.
+
+    † marks runs on recordings with open findings.
+    """
+    return f"{cell.n}{' =' if cell.copies else ''}{marked(cell)}"
+
+
+def n_of_runs(one: Cell | Entry | Standing | Spot) -> str:
+    """Return the numbers of results that count and of runs."""
+    return f"{one.n} = / {one.runs}" if one.copies else f"{one.n}/{one.runs}"
+
+
+def marked(cell: Cell) -> str:
+    """Return the sign of runs on recordings with open findings, where a cell has such."""
+    return f" {MARK}" if cell.findings else ""
+
+
+def cost_mark(column: str, *, reader: bool, late: bool) -> str:
+    """Return the sign of a cost that isn't what it seems, with a space before it; empty for none.
+
+    Args:
+        column: of the cost, or of anything else.
+        reader: whether CPU holds the reading of the recording, where that of others doesn't.
+        late: whether memory holds frames that waited.
+    """
+    if reader and column.startswith(CPU):
+        return f" {READER}"
+    return f" {LATE}" if late and column.startswith(MEMORY) else ""
 
 
 def failures_text(cell: Cell) -> str:
@@ -125,7 +160,7 @@ def table_lines(
 ) -> tuple[list[str], list[list[str]]]:
     """Return the headings and lines of a table.
 
-    Each group shows its metrics, its coverage, the number of runs that count and what became of others.
+    Each group shows its metrics, its coverage, the number of results that count and what became of others.
 
     Args:
         found: the groups.
@@ -134,7 +169,8 @@ def table_lines(
         left_out: keys that are said elsewhere.
     """
     rows = [name for name in found.keys if name not in {*across, *left_out}]
-    parts = [metric.title for metric in metrics] + list(_OF_GROUPS)
+    shown = [metric.column for metric in metrics]
+    parts = [metric.title_among(shown) for metric in metrics] + list(_OF_GROUPS)
     sides = _distinct(tuple(cell.keys[name] for name in across) for cell in found.cells) if across else [()]
     headings = [key_title(name, rows) for name in rows]
     for values in sides:
@@ -154,9 +190,13 @@ def table_lines(
 def flat_cells(found: Aggregate) -> list[dict[str, Any]]:
     """Return groups as flat records of unrounded numbers in stored units."""
     rows = []
+    has_findings = any(cell.findings for cell in found.cells)
     for cell in found.cells:
-        row: dict[str, Any] = {**cell.keys, "runs": cell.runs, "n": cell.n}
+        row: dict[str, Any] = {**cell.keys, "runs": cell.runs, "n": cell.n, "copies": cell.copies}
         row |= {"failures": sum(cell.failures.values()), "failures.by": cell.failures}
+        row |= {"findings": ", ".join(cell.findings)} if has_findings else {}
+        row |= {"reader": cell.reader} if any(one.reader for one in found.cells) else {}
+        row |= {"late": cell.late} if any(one.late for one in found.cells) else {}
         row |= {"untracked.by": cell.untracked, "deterministic": cell.deterministic}
         for name, figure in cell.figures.items():
             row |= flat_summary(name, figure.summary)
@@ -237,7 +277,11 @@ def _lines(cells: Sequence[Cell], rows: Sequence[str], across: Sequence[str]) ->
 def _cell_texts(cell: Cell | None, metrics: Sequence[Metric]) -> list[str]:
     if cell is None:
         return ["–"] * (len(metrics) + len(_OF_GROUPS))
-    figures = [spread_text(metric, cell.figures[metric.column].summary) for metric in metrics]
+    figures = [
+        spread_text(metric, cell.figures[metric.column].summary)
+        + cost_mark(metric.column, reader=cell.reader, late=cell.late)
+        for metric in metrics
+    ]
     return [*figures, *(text(cell) for text in _OF_GROUPS.values())]
 
 

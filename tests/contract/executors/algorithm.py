@@ -215,10 +215,8 @@ def outside() -> None:
 
 
 def with_a_number_that_is_none() -> None:
-    found = lines()
-    stamp, _, rest = found[50].split(" ", 2)
-    found[50] = f"{stamp} nan {rest}"
-    trajectory("".join(found))
+    found = (line.split(" ", 2) for line in lines())
+    trajectory("".join(f"{stamp} nan {rest}" for stamp, _, rest in found))
 
 
 def garbage() -> None:

@@ -33,7 +33,7 @@ BESIDE = HERE / "beside.json"
 """Columns of what lies beside the trajectory, by the behaviours that leave such."""
 OF_ANY = ("attempts", "evaluation", "alignment", "prepared.")
 """Those of them that runs without a result have too; names or how they begin."""
-OF_REFERENCE = ("keyframes", "pathLength", "referencePoses")
+OF_REFERENCE = ("evaluationVersion", "keyframes", "pathLength", "referencePoses")
 """Those that a lost run has too."""
 FRAMES = 100
 """Of the recording: so many are offered to an algorithm that does not count them."""
@@ -95,7 +95,7 @@ class Behaviour:
     def columns(self) -> Row:
         """Return the outcome's columns."""
         known: Row = json.loads(MEASURED.read_text(encoding="utf-8"))
-        row = {name: known[name] for name in known if name.startswith(OF_ANY)}
+        row = {name: known[name] for name in known if name.startswith(OF_ANY) and name not in OF_REFERENCE}
         if self.outcome == "Tracked":
             row |= known
         if self.outcome == "Lost":
@@ -257,9 +257,7 @@ ENDING = {
 """Ends of programs, and what is too much."""
 
 LEAVING = {
-    "not-a-number": invalid(
-        ", line 51: tx is nan; every value must be a finite number (leave out times without a pose)"
-    ),
+    "not-a-number": invalid(": all 100 rows hold NaN: no pose"),
     "words": invalid(", line 1: found 4 of 8 values; expected timestamp tx ty tz qx qy qz qw"),
     "unsorted": invalid(
         ", line 2: time stamp 1600000009.799999952 s comes before the one above it, 1600000009.900000095 s; "

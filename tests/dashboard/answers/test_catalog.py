@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.archive import Archive
+from slamhive.archive import Archive, SweepRecord
 from slamhive.dashboard.server.events import Events
 from slamhive.dashboard.server.service import Service
 from slamhive.dashboard.sources.archived import Workstation
@@ -46,6 +46,40 @@ async def test_sweeps_count_runs_once(api: Any) -> None:
     assert "did you mean 'study'" in (await api.get("/sweeps/studdy", 404))["error"]
 
 
+async def test_51_single_runs_are_one_group_and_a_sweep_says_how_its_errors_spread(
+    tmp_path: Path, open_app: Callable[..., Any], make_run: Callable[..., RunRecord]
+) -> None:
+    url = f"sqlite:///{tmp_path / 'archive.sqlite'}"
+    whole = {"algorithmRef": {"name": "a"}, "datasetRef": {"name": "d"}, "sensors": "lidar"}
+    bad = {"phase": "Failed", "reason": "OutOfMemory", "results": []}
+    bad["evaluations"] = [{"evaluation": "se3", "alignment": "se3"}]
+    with Archive.open(url) as archive:
+        for number in range(51):
+            name = f"try-{number}".ljust(63, "x")
+            archive.put_sweep(SweepRecord(uid=name, name=name, spec={"template": {"spec": whole}}))
+            archive.put_run(make_run(number, sweep=name, **(bad if number % 3 == 0 else {})))
+        for number in range(60, 64):
+            archive.put_run(make_run(number, sweep="study"))
+            archive.put_run(make_run(100 + number, sweep="failing", **bad))
+    async with open_app(Workstation(url, tmp_path)) as client:
+        answer = await client.get("/sweeps")
+    assert answer["single"]["runs"] == sum(item["single"] for item in answer["items"]) == 51
+    assert answer["single"]["statuses"] == {"Tracked": 34, "OutOfMemory": 17}
+    several = {item["name"]: item for item in answer["items"] if not item["single"]}
+    assert sorted(several) == ["failing", "study"]
+    assert all(one["low"] is None and one["failed"] == 2 for one in several["failing"]["spread"])
+    # Runs 60 to 63: dataset-0 has 0.61 and 0.62 m, dataset-1 0.63 and 0.64 m; each is over its own best.
+    spread = {one["algorithm"]: one for one in several["study"]["spread"]}
+    assert spread["algorithm-0"] == {
+        "algorithm": "algorithm-0", "low": 1.0, "median": 1.0, "high": 1.0, "failed": 0
+    }  # fmt: skip
+    assert spread["algorithm-1"]["high"] == pytest.approx(0.62 / 0.61)
+    assert [(one["dataset"], round(one["ate"], 2)) for one in several["study"]["best"]] == [
+        ("dataset-0", 0.61),
+        ("dataset-1", 0.63),
+    ]
+
+
 async def test_evaluations_and_the_catalog(api: Any) -> None:
     evaluations = (await api.get("/evaluations"))["items"]
     assert [(item["name"], item["rows"]) for item in evaluations] == [("se3", 29), ("sim3", 1)]
@@ -56,6 +90,7 @@ async def test_evaluations_and_the_catalog(api: Any) -> None:
     assert "kind: Algorithm" in (await api.get("/algorithms/algorithm-0"))["manifest"]
     assert (await api.get("/algorithms/algorithm-1"))["manifest"] is None
     assert (await api.get("/datasets/dataset-1"))["algorithms"] == ["algorithm-0", "algorithm-1"]
+    assert not any(item["attributes"] for item in algorithms.values()), "they are the datasets'"
     assert (await api.get("/datasets/nothing", 404))["field"] == "name"
 
 

@@ -17,6 +17,7 @@ import pytest
 from slamhive.analysis.columns import Column
 from slamhive.analysis.frame import Frame
 from slamhive.archive import Archive
+from slamhive.dashboard.answers.paths import apart
 from slamhive.dashboard.answers.timeline import timeline
 from slamhive.dashboard.sources.archived import Snapshot, Workstation
 from slamhive.data.recordings.rosmessages import BagWriter
@@ -302,6 +303,13 @@ async def test_paths_of_what_filters_leave_say_in_what_they_differ(repeated: Any
     assert "the ground truth of this dataset is not at hand here" in group["notes"]
 
 
+@pytest.mark.parametrize(("off", "told"), [(0.0, False), (-0.3, True)])
+def test_the_truth_of_another_frame_is_told_from_that_drawn(off: float, told: bool) -> None:
+    whole = {"t": np.arange(3.0)} | {axis: np.zeros(3) for axis in "xyz"}
+    part = {"t": np.arange(1.0, 3.0), "x": np.zeros(2), "y": np.zeros(2), "z": np.full(2, off)}
+    assert apart(whole, part) is told
+
+
 async def test_of_many_paths_the_first_are_drawn(repeated: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("slamhive.dashboard.answers.paths.MOST_PATHS", 2)
     answer = await repeated.get("/analysis/paths")
@@ -399,6 +407,23 @@ def test_runs_that_go_on_last_until_now() -> None:
     assert answer["live"] == 2
     assert answer["lanes"] == ["a, cores 0-1", "a, place 1"]
     assert answer["bars"]["end"].tolist() == [noon + 60, noon + 60]
+
+
+def test_superseded_runs_are_no_lost_time() -> None:
+    noon = NOON.timestamp()
+    columns = {
+        "id": [1, 2],
+        "uid": ["x@0a1b2c3d", "x"],
+        "phase": ["Succeeded", "Succeeded"],
+        "created": [noon, noon + 50],
+        "started": [noon, noon + 50],
+        "finished": [noon + 50, noon + 100],
+        "superseded": ["algorithm changed", None],
+    }
+    frame = Frame({name: Column.of(values) for name, values in columns.items()}, 2)
+    answer = timeline(Snapshot(frame), [("superseded", "0")], (None, None)).content
+    assert answer["bars"]["uid"] == ["x@0a1b2c3d", "x"]
+    assert answer["notes"] == ["1 run of an earlier version is among them: it took time too"]
 
 
 @pytest.fixture

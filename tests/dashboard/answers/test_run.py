@@ -75,17 +75,47 @@ async def api(home: Path, url: str, open_app: Callable[..., Any]) -> Any:
         yield client
 
 
+async def test_a_result_of_an_earlier_version_of_the_evaluation_is_marked(
+    home: Path, url: str, open_app: Callable[..., Any], make_run: Callable[..., RunRecord]
+) -> None:
+    values = {"settings": "x", "ate": {"rmse": 1.0}, "notes": ["2 of 9 rows hold NaN"]}
+    old = Result(evaluation="se3", outcome=Outcome.TRACKED, coverage=1.0, values=values)
+    with Archive.open(url) as archive:
+        archive.put_run(make_run(5, results=[old]))
+    async with open_app(Workstation(url, home)) as client:
+        first, second = (await client.get("/runs/uid-005"))["notes"]
+    assert first.startswith(
+        "se3: measured by version 1 of the evaluation, 2 is current: slamhive results measure"
+    )
+    assert second == "se3: 2 of 9 rows hold NaN"
+
+
 async def test_all_that_is_known(api: Any) -> None:
     run = await api.get("/runs/uid-000")
     assert run["configuration"]["parameters"] == {"nFeatures": 500, "loop": True}
     assert run["results"][0]["outcome"] == "Tracked"
     assert run["logTail"] == "bye"
     assert run["files"] is True
+    assert run["notes"] == []
+    assert run["cameras"] is True
     manifest = MappingRun.model_validate(yaml.safe_load(run["manifest"]))
     assert manifest.spec.parameters["nFeatures"] == 500
     download = await api.raw.get("/api/v1/runs/uid-000/manifest")
     assert download.text == run["manifest"]
     assert "run-000.yaml" in download.headers["content-disposition"]
+
+
+async def test_settings_that_tell_a_run_from_others_are_named_and_a_lidar_run_has_no_cameras(
+    url: str, home: Path, open_app: Callable[..., Any], make_run: Callable[..., RunRecord]
+) -> None:
+    with Archive.open(url) as archive:
+        for number, size in ((90, 0.5), (96, 1.0)):
+            settings = {"voxelSize": size, "deskew": True}
+            archive.put_run(make_run(number, spec={"sensors": "lidar-inertial"}, parameters=settings))
+    async with open_app(Workstation(url, home)) as client:
+        run = await client.get("/runs/uid-090")
+    assert [one["name"] for one in run["varied"]] == ["parameters.voxelSize"]
+    assert run["cameras"] is False
 
 
 async def test_unknown_runs_are_404(api: Any) -> None:
@@ -123,6 +153,27 @@ async def test_thinned_usage_keeps_the_peak(api: Any) -> None:
     assert max(usage["memory"]) == 9900
     assert usage["cpu"] == [0.5] * 10
     assert usage["kind"] == "WorkingSet"
+
+
+async def test_a_chart_of_cpu_says_that_it_holds_the_reader(
+    home: Path, url: str, open_app: Callable[..., Any]
+) -> None:
+    """The curve holds what the figures beside it leave out."""
+    notes: list[str] = []
+    for changes in ({}, {"reader_cpu_seconds": 4.0, "reader_share": 0.38}):
+        with Archive.open(url) as archive:
+            record = archive.get("uid-000")
+            assert record is not None
+            assert record.usage is not None
+            archive.put_run(record.replace(usage=record.usage.replace(**changes)))
+        async with open_app(Workstation(url, home)) as client:
+            labels = (await client.get("/runs/uid-000"))["labelled"]
+            assert labels["usage.wallSeconds"] == "wall time [s]"
+            usage = await client.get("/runs/uid-000/usage")
+        assert usage["readerShare"] == changes.get("reader_share")
+        notes += usage["notes"]
+    assert "its part isn't known" in notes[0]
+    assert "38% of all CPU seconds" in notes[1]
 
 
 @pytest.mark.parametrize(
@@ -175,9 +226,9 @@ async def test_time_begins_with_the_first_pose_where_nothing_else_is_known(home:
     assert (await api.get("/runs/uid-000/trajectory"))["clock"] == {"start": 0.0, "of": "estimate"}
 
 
-async def test_load_in_real_time_lies_where_the_player_played(home: Path, api: Any) -> None:
-    """It played at twice the speed, the first frame 3 s after the program began; one frame came late."""
-    configuration = RunConfiguration(
+def told(pace: Pace) -> dict[str, Any]:
+    """Return the configuration of a run from 3 s on, at twice the speed."""
+    return RunConfiguration(
         run="run-000",
         algorithm="node",
         mode=SensorMode.LIDAR,
@@ -187,13 +238,17 @@ async def test_load_in_real_time_lies_where_the_player_played(home: Path, api: A
             start_time=13.0,
         ),
         sensors={},
-        input=InputView(pace=Pace.REALTIME, rate=2.0, start=3.0),
+        input=InputView(pace=pace, rate=2.0, start=3.0),
         seed=1,
         cores=1,
-    )
+    ).as_json()
+
+
+async def test_load_in_real_time_lies_where_the_player_played(home: Path, api: Any) -> None:
+    """It played the first frame 3 s after the program began; one frame came late."""
     arrivals = [(10, 3.0), (12, 4.0), (14, 5.9), (16, 6.0), (18, 7.0)]
     rows = "".join(f"{stamp}.0,{STARTED + seconds},0,0\n" for stamp, seconds in arrivals)
-    give(home, configuration.as_json(), rows)
+    give(home, told(Pace.REALTIME), rows)
     usage = await api.get("/runs/uid-000/usage")
     assert usage["clock"] == {"start": 10.0, "of": "recording"}
     assert usage["t"][30] == 3.0
@@ -203,9 +258,22 @@ async def test_load_in_real_time_lies_where_the_player_played(home: Path, api: A
     assert header == "t,stamp,cpu,memory,anonymous"
 
 
+async def test_load_in_steps_lies_at_the_frame_that_was_worked_on(home: Path, api: Any) -> None:
+    """Frames of 2 s are played in 1 s each; time stood before the second, while the first was worked on."""
+    arrivals = [(10, 1.0), (12, 4.0), (14, 5.0)]
+    rows = "".join(f"{stamp}.0,{STARTED + seconds},0,0\n" for stamp, seconds in arrivals)
+    give(home, told(Pace.STEPPED), rows)
+    usage = await api.get("/runs/uid-000/usage")
+    at = dict(zip(np.round(usage["t"], 3), usage["stamp"], strict=True))
+    stamps = [at[seconds] for seconds in (0.5, 1.5, 2.5, 3.9, 4.5, 6.0)]
+    assert stamps == pytest.approx([9.0, 11.0, 12.0, 12.0, 13.0, 16.0], abs=1e-5)
+
+
 @pytest.mark.parametrize(
     ("pace", "rows"),
     [
+        (["Realtime"], f"10.0,{STARTED},0,0\n"),
+        ("Stepped", "10.0\n"),
         ("Lockstep", f"10.0,{STARTED},0,0\n"),
         ("Realtime", None),
         ("Realtime", ""),

@@ -176,3 +176,20 @@ async def test_columns_tell_their_kind_range_and_values(api: Any) -> None:
     assert loop["kind"] == "boolean"
     assert started["min"] == "2026-01-02T03:04:00.250000+00:00"
     assert features["kind"] == "other"
+
+
+async def test_a_note_is_found_as_soon_as_it_is_written_and_is_plain_text(
+    api: Any, assorted: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slamhive.dashboard.sources.archived.LOOK_SECONDS", 0.0)
+    monkeypatch.setattr("slamhive.dashboard.sources.archived._REST", 0.0)
+    asked = ("/search?words=v2+kernel", "/runs?where=tags+contains+robust", "/runs?where=note+contains+'<B>'")
+    assert [(await api.get(path))["total"] for path in asked] == [0, 0, 0]
+    with Archive.open(assorted) as archive:
+        archive.annotate(["uid-003"], lambda had: had.changed("a <b>robust</b> kernel", ["v2", "robust"], []))
+    for path in asked:
+        assert [item["uid"] for item in (await api.get(path))["items"]] == ["uid-003"]
+    run = await api.get("/runs/uid-003")
+    assert (run["note"], run["tags"]) == ("a <b>robust</b> kernel", ["robust", "v2"])
+    refused = await api.raw.post("/api/v1/runs/uid-003", json={"note": "from afar"})
+    assert refused.status_code == 405

@@ -124,7 +124,11 @@ def intend_evaluation(archive: Archive, _: Callable[..., RunRecord]) -> None:
     archive.put_evaluations("uid-024", [IntendedEvaluation(evaluation="later", alignment="sim3")])
 
 
-CHANGES = (change_result, add_evaluation, add_runs, replace_run, remove_run, intend_evaluation)
+def note_run(archive: Archive, _: Callable[..., RunRecord]) -> None:
+    archive.annotate(["uid-003"], lambda had: had.changed("tried a robust kernel", ["robust"], []))
+
+
+CHANGES = (change_result, add_evaluation, add_runs, replace_run, remove_run, intend_evaluation, note_run)
 
 
 @pytest.mark.parametrize("change", CHANGES)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.data.inspecting.inspection import inspect
 from slamhive.data.recordings.entries import DatasetEntry
-from slamhive.data.recordings.reading import open_recording
+from slamhive.data.recordings.repairing import open_recording
 from slamhive.data.recordings.writing import RecordingWriter
 from slamhive.model.dataset import Dataset
 

@@ -138,6 +138,8 @@ def test_units_of_depth(spoiled: Any, change: Any, scale: float) -> None:
     assert list(found) == ["depth.unit"]
     repair = found["depth.unit"].repair
     assert repair["repair"]["sensors"] == {"depth": {"depthScale": scale}}
+    if scale == 1.0:
+        assert spoiled(DEPTH, make, repair) == {}
 
 
 def test_depth_that_is_not_what_it_is_said_to_be(spoiled: Any) -> None:

@@ -256,7 +256,10 @@ def test_v1_01_has_a_better_ground_truth_elsewhere(euroc: Any, imported: Any, tm
     rows = [f"{START + 5_000_000 * k},{k},0,0,1,0,0,0,0,0,0,0,0,0,0,0,0" for k in range(4)]
     path = folder / "mav0" / "state_groundtruth_estimate0" / "data.csv"
     path.write_text("#timestamp, p_RS_R_x [m]\n" + "\n".join(rows) + "\n")
+    (folder / "groundtruth.txt").write_text("another")
     found = imported(folder, "Euroc")
+    taken = "groundTruth: mav0/state_groundtruth_estimate0/data.csv is taken; there is groundtruth.txt, too"
+    assert taken in found.notes
     assert "orientation of V1_01's published ground truth is inaccurate" in found.notes
     assert len(ground_truth(found.entry).poses) == 4
 

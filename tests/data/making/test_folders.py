@@ -17,7 +17,7 @@ from slamhive.data.making.preparation import evict_variants, prepare
 from slamhive.data.recordings.clouds import cloud_points
 from slamhive.data.recordings.entries import DatasetEntry
 from slamhive.data.recordings.kinds import COMPRESSED_IMAGE
-from slamhive.data.recordings.reading import open_recording
+from slamhive.data.recordings.repairing import open_recording
 from slamhive.data.recordings.rosmessages import BagWriter
 from slamhive.jobs.prepare import _describe
 from slamhive.model.algorithm import Algorithm, DataFormat

@@ -9,7 +9,8 @@ import pytest
 from slamhive.data.importers.carmen import POINT
 from slamhive.data.inspecting.inspection import inspect
 from slamhive.data.making.preparation import prepare
-from slamhive.data.recordings.reading import Recording, guess_format, open_recording
+from slamhive.data.recordings.reading import Recording, guess_format
+from slamhive.data.recordings.repairing import open_recording
 from slamhive.model.algorithm import DataFormat, RecordingFormat
 from slamhive.model.errors import DataError
 from slamhive.model.run import InputOptions

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +11,12 @@ import pytest
 import yaml
 
 from slamhive.data.inspecting.inspection import inspect
+from slamhive.data.inspecting.known import FINDINGS
+from slamhive.data.inspecting.known import known as kept_findings
+from slamhive.data.recordings.entries import DatasetEntry
 from slamhive.local.home.folder import Home
+from slamhive.model.dataset import Dataset
+from slamhive.model.loading import load_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -91,6 +97,22 @@ def test_suspicious_calibration_is_said_when_it_is_added(add: Any, camera: Any, 
     assert words in " ".join(out.split())
 
 
+def test_findings_of_a_sample_are_said_when_it_is_added(add: Any, run_command: Any, tmp_path: Path) -> None:
+    code, out, _ = add()
+    told = " ".join(out.split())
+    assert (code, "dataset 'walk': sensors.camera: 20 images show one grey" in told) == (0, True)
+    assert "(images.constant)" in told
+    manifest = yaml.safe_load((tmp_path / "walk.yaml").read_text())
+    entry = DatasetEntry(Dataset.model_validate(manifest), tmp_path)
+    kept = kept_findings(entry, tmp_path / "home" / FINDINGS)
+    assert [one.code for one in kept or []] == ["images.constant"]
+    code, out, _ = run_command("dataset", "check", "walk", "--quick", "--json")
+    report = json.loads(out)
+    assert (code, report["sampled"], report["sensors"][0]["messages"]) == (0, 20, 20)
+    shown = " ".join(run_command("dataset", "check", "walk", "--quick")[2].split())
+    assert "a sample of 20 of 20 messages" in shown
+
+
 def test_a_known_dataset_is_replaced_when_that_is_said(add: Any) -> None:
     manifest = add() and Home.from_environment().path / "datasets" / "walk" / "dataset.yaml"
     code, _, err = add(camera={"fx": 9.0})
@@ -162,7 +184,7 @@ def test_a_sensor_that_lasts_for_little_of_the_ground_truth(
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [("My Walk", "found 'My Walk'"), ("walk/2", "found 'walk/2'")],
+    [("My Walk", "found 'My Walk'; try my-walk"), ("walk/2", "found 'walk/2'")],
 )
 def test_a_name_that_is_none_of_a_dataset_is_refused(
     add: Any, run_command: Any, name: str, words: str
@@ -178,3 +200,33 @@ def test_a_name_is_made_of_any_file_s(add: Any, run_command: Any, tmp_path: Path
     (tmp_path / "walk.bag").rename(tmp_path / "Second Walk (1).bag")
     assert run_command("dataset", "add", "Second Walk (1).bag")[0] == 0
     assert (tmp_path / "second-walk-1.yaml").is_file()
+
+
+def test_pieces_of_a_recording_are_added_together_and_named_where_one_is_given(
+    bag_writer: Any, run_command: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SLAMHIVE_HOME", str(tmp_path / "home"))
+    (tmp_path / "disk").mkdir()
+    for piece in range(3):
+        with bag_writer(tmp_path / "disk" / f"run_{piece}.bag") as bag:
+            for k in range(10):
+                bag.imu("/imu", (100 + 10 * piece + k) * 10**8, "imu", np.zeros(3), np.array([0, 0, 9.81]))
+    pieces = [f"disk/run_{piece}.bag" for piece in (2, 0, 1)]
+    code, _, err = run_command("dataset", "add", pieces[0], "--name", "one")
+    assert (code, "run_0.bag, run_1.bag beside run_2.bag may be pieces" in " ".join(err.split())) == (0, True)
+
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    code, _, err = run_command("dataset", "add", *(f"../{piece}" for piece in pieces), "--name", "run")
+    assert code == 0, err
+    assert "may be pieces" not in err
+    assert run_command("dataset", "add", "run.yaml")[0] == 0
+    report = inspect(DatasetEntry(load_file(tmp_path / "here" / "run.yaml")[0], tmp_path / "here"))
+    (imu,) = report.sensors
+    assert (imu.messages, imu.first, imu.last) == (30, 10.0, pytest.approx(12.9))
+
+    code, _, err = run_command("dataset", "add", f"../{pieces[0]}", f"../{pieces[0]}", "--name", "twice")
+    assert (code, "run_2.bag: named twice" in " ".join(err.split())) == (2, True)
+    code, _, err = run_command("dataset", "add", "run.yaml", f"../{pieces[0]}", "--name", "mixed")
+    assert (code, "run.yaml: not a recording" in err) == (2, True)

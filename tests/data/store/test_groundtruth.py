@@ -9,9 +9,12 @@ from slamhive.data.inspecting.inspection import inspect
 from slamhive.data.recordings.posetopics import poses_of_topic
 from slamhive.data.recordings.reading import Recording, guess_format
 from slamhive.data.store.groundtruth import ground_truth, write_ground_truth
+from slamhive.data.synthetic.messages import MessageMaker, typestore
 from slamhive.model.errors import DataError
 from slamhive_eval import ControlPoints, Relations, read_tum
 
+START = 1_600_000_000 * 10**9
+MAKER = MessageMaker(typestore())
 TUM = "1600000000.0 1 2 3 0 0 0 1\n1600000001.0 2 2 3 0 0 0 1\n1600000002.0 3 2 3 0 0 0 1\n"
 EUROC = "#timestamp\n1600000000000000000,1,2,3,1,0,0,0,0\n1600000001000000000,2,2,3,1,0,0,0,0\n"
 KITTI = "1 0 0 1 0 1 0 2 0 0 1 3\n1 0 0 2 0 1 0 2 0 0 1 3\n"
@@ -62,6 +65,47 @@ def test_a_topic_is_read_once(tmp_path: Path, bag_with_truth: Any) -> None:
     assert (tmp_path / "out.txt").read_text() == note.read_text()
 
 
+PATH, POSE = "nav_msgs/msg/Path", "geometry_msgs/msg/PoseStamped"
+
+
+@pytest.mark.parametrize("form", ["grows", "window", "single"])
+def test_a_path_is_whole_however_it_is_sent(
+    tmp_path: Path, bag_writer: Any, bag_entry: Any, form: str
+) -> None:
+    types = typestore().types
+    with bag_writer(tmp_path / "walk.bag") as bag:
+        poses = []
+        for k in range(20):
+            odometry = MAKER.odometry(START + k * 10**8, "base", np.array([0, 0, 0, k, 0, 0]))
+            poses.append(types[POSE](header=odometry.header, pose=odometry.pose.pose))
+            sent = poses[{"grows": 0, "window": max(0, k - 4), "single": k}[form] :]
+            bag._write("/truth", PATH, START + k * 10**8, types[PATH](header=odometry.header, poses=sent))
+    found = ground_truth(bag_entry(tmp_path / "walk.bag", {}, groundTruth={"topic": "/truth"}))
+    assert found.kind == "poses"
+    assert found.poses.positions[:, 0].tolist() == list(range(20))
+
+
+def test_fixes_are_positions_about_the_first_and_kept_as_such(
+    tmp_path: Path, bag_writer: Any, bag_entry: Any
+) -> None:
+    with bag_writer(tmp_path / "walk.bag") as bag:
+        for k in range(10):
+            fix = MAKER.fix(START + k * 10**8, "gps", np.array([49.0 + k * 1e-5, 8.0, 100.0 + k]))
+            fix.status.status = -1 if k in (0, 4) else 2
+            bag._write("/fix", "sensor_msgs/msg/NavSatFix", START + k * 10**8, fix)
+    sensors = {"gnss": ("Gnss", "/fix")}
+    entry = bag_entry(tmp_path / "walk.bag", sensors, groundTruth={"topic": "/fix", "frame": "gnss"})
+    for cache in (None, tmp_path / "cache", tmp_path / "cache"):
+        found = ground_truth(entry, cache)
+        assert found.kind == "positions"
+        assert (found.poses.stamps - START / 1e9) == pytest.approx([0.1, 0.2, 0.3, *np.arange(0.5, 1, 0.1)])
+        # A hundred-thousandth of a degree of latitude is 1.112 m at 49°, on the ellipsoid.
+        assert found.poses.positions[-1] == pytest.approx([0, 8 * 1.112, 8], abs=0.01)
+        write_ground_truth(entry, found, tmp_path / "out", cache)
+        assert len((tmp_path / "out").read_text().splitlines()[1].split()) == 4
+    assert inspect(entry).ground_truth.kind == "positions"
+
+
 @pytest.mark.parametrize(
     ("truth", "expected"),
     [
@@ -84,7 +128,7 @@ def test_frames(tmp_path: Path, bag_with_truth: Any, truth: Any, expected: str) 
     [
         (None, {"file": "gt"}, "gt does not exist"),
         ("", {"file": "gt"}, "holds no poses"),
-        (TUM + "nan 1 2 3 0 0 0 1\n", {"file": "gt"}, "line 4"),
+        (TUM + "inf 1 2 3 0 0 0 1\n", {"file": "gt"}, "line 4"),
         (TUM + TUM, {"file": "gt"}, "line 4.*must not decrease"),
         (KITTI, {"file": "gt", "format": "Kitti"}, "groundTruth.times: needed"),
         (TUM, {"topic": "/trut"}, "no topic '/trut' .*did you mean '/truth'"),
@@ -165,9 +209,11 @@ def test_truth_too_sparse_to_be_met_is_warned_of(
 ) -> None:
     (tmp_path / "gt").write_text("".join(f"{1600000000 + k * step} {k} 2 3 0 0 0 1\n" for k in range(4)))
     entry = bag_with_truth(tmp_path, groundTruth={"file": "gt", "format": form})
-    sentences = [one for one in inspect(entry).warnings if "declare format: ControlPoints" in one]
+    report = inspect(entry)
+    sentences = [one.message for one in report.findings if one.code == "truth.rate"]
     assert len(sentences) == warned
     assert not warned or "its 4 poses are 15 s apart typically" in sentences[0]
+    assert set(sentences) <= set(report.warnings)
 
 
 def test_what_is_written_is_read_as_the_same_poses(tmp_path: Path, bag_with_truth: Any) -> None:

@@ -285,6 +285,39 @@ sequences: {walk: }
     assert (downloads / "test" / "walk.bag").is_file(), "it is the user's"
 
 
+def test_an_archive_that_someone_put_there_is_taken_and_stays(
+    site: Any, catalogue: Any, tmp_path: Path, euroc: tuple[Path, Any]
+) -> None:
+    catalogue(
+        f'folder: s\nparts: {{archive: {{url: "{site.url}/s.tar", members: [s]}}}}\nsequences: {{s: }}\n'
+    )
+    place = tmp_path / "downloads" / "test" / "s.tar"
+    place.parent.mkdir(parents=True)
+    with tarfile.open(place, "w") as archive:
+        archive.add(euroc[0], "s")
+    obtain(find_sequence("test/s"), tmp_path / "out", "s", tmp_path / "downloads")
+    assert (tmp_path / "out" / "recording.bag").is_file()
+    assert site.asked == []
+    assert place.is_file(), "it is the user's"
+
+
+def test_without_a_network_it_is_said_at_once_and_what_helps(
+    catalogue: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waits: list[float] = []
+    monkeypatch.setattr("slamhive.data.files.fetching.time.sleep", waits.append)
+    # No server has a name that ends so (RFC 6761).
+    catalogue(
+        'folder: s\nparts: {archive: {url: "https://data.invalid/s.tar", members: [s]}}\nsequences: {s: }\n'
+    )
+    with pytest.raises(SystemFault, match=r"no server data\.invalid is known here, or no network") as error:
+        obtain(find_sequence("test/s"), tmp_path / "out", "s", tmp_path / "downloads")
+    assert f"put s.tar into {tmp_path / 'downloads' / 'test'} and give the same command again" in str(
+        error.value
+    )
+    assert waits == []
+
+
 @pytest.mark.parametrize("is_elsewhere", [False, True])
 @pytest.mark.parametrize("is_folder", [False, True])
 def test_links_to_files_of_another_disk_are_taken(  # noqa: PLR0917

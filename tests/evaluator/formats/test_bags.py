@@ -117,8 +117,11 @@ def test_stamped_poses(tmp_path: Path, maker: Maker, wander: Callable[..., Traje
     for n in (5, 20):
         path = maker.make("nav_msgs/msg/Path", header=maker.header(0), poses=poses[:n])
         messages.append(("/Path", "nav_msgs/msg/Path", path))
+    for n in range(18):
+        path = maker.make("nav_msgs/msg/Path", header=maker.header(0), poses=poses[n : n + 3])
+        messages.append(("/Windows", "nav_msgs/msg/Path", path))
     file = maker.record(tmp_path, messages)
-    for short in (*names[:4], "Path"):
+    for short in (*names[:4], "Path", "Windows"):
         assert_same(read_trajectory(f"{file}:/{short}"), truth)
         assert_same(read_trajectory(file, topic=short), truth)
     points = read_trajectory(file, topic="/PointStamped")
@@ -130,6 +133,15 @@ def test_stamped_poses(tmp_path: Path, maker: Maker, wander: Callable[..., Traje
         read_trajectory(file)
     with pytest.raises(FileError, match="no topic '/Odometri'; did you mean '/Odometry'"):
         read_trajectory(f"{file}:/Odometri")
+
+
+def test_poses_of_nan_are_left_out_and_counted(tmp_path: Path, maker: Maker) -> None:
+    name = "nav_msgs/msg/Odometry"
+    rows = [(k, np.nan if k == 2 else k, 0, 0, 0, 0, 0, 1) for k in range(4)]
+    file = maker.record(tmp_path, [("/odom", name, maker.message(name, row)) for row in rows])
+    found = read_trajectory(file)
+    assert (found.positions[:, 0].tolist(), found.nan_rows) == ([0, 1, 3], 1)
+    assert found.notes == ("1 of 4 rows holds NaN and was left out",)
 
 
 def test_fixes(tmp_path: Path, maker: Maker) -> None:

@@ -174,7 +174,9 @@ def test_contradictory_formats_are_refused(words: str, settings: Any, message: s
         ("1 a 3 4\n", "t x y z", r"line 1: 'a' in the column tx is no number"),
         ("1 2 3 4\n\n2 2 3\n", "t x y z", r"line 3: found 3 columns of the 4 that t, tx, ty, tz need"),
         ("2 0 0 0\n1 0 0 0\n", "t x y z", r"line 2: time stamp 1\..* comes before"),
-        ("1 0 0 nan\n", "t x y z", r"line 1: tz is nan"),
+        ("1 0 0 inf\n", "t x y z", r"line 1: tz is inf"),
+        ("1 0 0 nan\n", "t x y z", r"its only row holds NaN"),
+        ("1 0 0 nan\n3 0 0 0\n\n2 0 0 0\n", "t x y z", r"line 4: time stamp 2\..* comes before"),
         ("1 0 0 0 0 0 0 0\n", "t x y z qx qy qz qw", r"line 1: the quaternion is zero"),
         ("1 2 0 0 0 0 1 0 0 0 0 1 0\n", "t matrix", r"line 1: the left 3×3 part is no rotation"),
         ("1 0 0 0 0 0 90\n", "t x y z roll pitch yaw", r"line 1: an angle of 90 rad is beyond a turn"),
@@ -184,6 +186,12 @@ def test_contradictory_formats_are_refused(words: str, settings: Any, message: s
 def test_bad_lines_are_named(tmp_path: Path, text: str, words: str, message: str) -> None:
     with pytest.raises(FileError, match=message):
         read(tmp_path, text, words)
+
+
+def test_rows_of_nan_are_left_out_and_counted(tmp_path: Path) -> None:
+    found = read(tmp_path, "1 0 0 0\n2 0 nan 0\n3 4 0 0\n3.1 9 0 0\n", "t x y z", min_interval=0.5)
+    assert (found.stamps.tolist(), found.positions[:, 0].tolist()) == ([1, 3], [0, 4])
+    assert (found.nan_rows, found.notes) == (1, ("1 of 4 rows holds NaN and was left out",))
 
 
 def test_a_table_without_rows(tmp_path: Path) -> None:

@@ -25,6 +25,19 @@ def test_it_is_named_as_such(tmp_path: Path, split: str, form: str | None) -> No
         read_trajectory(path, form)
 
 
+def test_between_values_too_it_is_found_by_their_number(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("".join(f"{k},5," + ",".join(["0,1"] * 7) + "\n" for k in range(3)))
+    with pytest.raises(FileError, match="line 1: its numbers have a decimal comma"):
+        read_trajectory(path, "tum")
+    path.write_text("timestamp,x,y,z,qx,qy,qz,qw\n" + ",".join(["0,5"] * 8) + "\n")
+    with pytest.raises(FileError, match="line 2: its numbers have a decimal comma"):
+        read_trajectory(path)
+    path.write_text("timestamp;x;y;z;qx;qy;qz;qw\n" + ";".join(["0,5"] * 8) + "\n")
+    with pytest.raises(FileError, match=r"line 2: '0,5' .* is no number; its numbers have a decimal comma"):
+        read_trajectory(path)
+
+
 def test_a_table_with_it(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("1.5;0,1;2;3;0;0;0;1\n2.5;0,2;2;3;0;0;0;1\n")

@@ -144,10 +144,15 @@ def test_what_is_not_compared_is_said(tmp_path: Path, capsys: pytest.CaptureFixt
     write_tum(gt, whole)
     write_tum(est, whole.at(whole.stamps + np.where(np.arange(len(whole)) > 60, 0.01, 0.0)))
     assert main(["ape", str(gt), str(est), "--max-diff", "0.005"]) == 0
-    assert "poses have a partner within 0.005 s" in capsys.readouterr().out
+    assert "poses have a partner of their own within 0.005 s" in capsys.readouterr().out
     write_tum(est, whole.at(np.full(len(whole), whole.stamps[0])))
     assert main(["ape", str(gt), str(est)]) == 0
-    assert "poses were paired with 1 of the ground truth" in capsys.readouterr().out
+    assert f"1 of {len(whole)} poses have a partner of their own" in (said := capsys.readouterr().out)
+    assert f"note: {len(whole) - 1} poses of the estimate have the stamp of the one before" in said
+    assert main(["explain", str(gt), str(est)]) == 0
+    said = capsys.readouterr().out
+    assert "no poses belong together" in said
+    assert f"note: {len(whole) - 1} poses of the estimate have the stamp" in said
     write_tum(est, whole.shifted(0.01))
     assert main(["ape", str(gt), str(est), "--max-diff", "0.001"]) == 2
     assert "--match interpolate" in capsys.readouterr().err

@@ -55,6 +55,9 @@ declare namespace Api {
     notes: string | null;
     values: Record<string, number>;
     differences: string[];
+    /** By column, a sentence on own runs beside the number. */
+    verdicts: Record<string, string>;
+    isDrawn: boolean;
   };
 
   /** A column as tables and charts need it; `kind` is number, integer, time, text, boolean or other. */
@@ -77,7 +80,8 @@ declare namespace Api {
     min?: Value;
     max?: Value;
   };
-  type Columns = { rows: number; items: Column[]; notes: string[] };
+  /** `varied`: settings by which runs of one algorithm on one dataset differ. */
+  type Columns = { rows: number; items: Column[]; varied: string[]; notes: string[] };
 
   type Index = {
     revision: string;
@@ -105,10 +109,23 @@ declare namespace Api {
     created: string | null;
     axes: Array<{ name: string; count: number }>;
     best: Array<{ name: string; ate: number; dataset: string | null }>;
+    single: boolean;
+    spread: Array<{
+      algorithm: string;
+      low: number | null;
+      median: number | null;
+      high: number | null;
+      failed: number;
+    }>;
     spec?: object | null;
     manifest?: string | null;
     evaluation?: object | null;
     conditions?: Condition[];
+  };
+
+  type Sweeps = {
+    items: Sweep[];
+    single: { runs: number; without: number; live: boolean; statuses: Counts; finished: string | null };
   };
 
   type Entry = {
@@ -128,7 +145,15 @@ declare namespace Api {
   };
 
   type Row = Record<string, Value>;
-  type Runs = { total: number; next: string | null; columns: Heading[]; items: Row[]; notes: string[] };
+  /** `same`: columns in which all runs that are meant have one value. */
+  type Runs = {
+    total: number;
+    next: string | null;
+    same: string[];
+    columns: Heading[];
+    items: Row[];
+    notes: string[];
+  };
   type Run = {
     uid: string;
     name: string;
@@ -138,8 +163,14 @@ declare namespace Api {
     reason: string | null;
     message: string | null;
     configuration: Record<string, any> | null;
+    /** Settings by which runs of the algorithm on the dataset differ. */
+    varied: Heading[];
+    cameras: boolean;
     results: Array<Record<string, any>>;
+    notes: string[];
     usage: Record<string, any> | null;
+    /** What columns of costs, frames and own metrics are called. */
+    labelled: Record<string, string>;
     provenance: Record<string, any> | null;
     manifest: string | null;
     logTail: string | null;
@@ -224,6 +255,9 @@ declare namespace Api {
     kind: string | null;
     samples: number;
     stamp: number[] | null;
+    /** The reader's part of all CPU seconds, which the curve holds. */
+    readerShare: number | null;
+    notes: string[];
   };
 
   type Interval = { low: number | null; high: number | null; method?: string };
@@ -243,9 +277,14 @@ declare namespace Api {
     keys: Keys;
     runs: number;
     n: number;
+    copies: number;
     failed: number;
     failures: Failures;
     deterministic: boolean;
+    findings: string[];
+    reader: boolean;
+    /** Whether memory holds frames that waited. */
+    late: boolean;
     coverage: Figure | null;
     figures: Record<string, Figure>;
   };
@@ -369,6 +408,7 @@ declare namespace Api {
     dataset: string;
     runs: number;
     n: number;
+    copies: number;
     failures: Failures;
     median: number | null;
     medianFailed: boolean;
@@ -378,7 +418,8 @@ declare namespace Api {
   };
   type Ranked = {
     keys: Keys;
-    rank: number;
+    rank: number | null;
+    unranked: string;
     rankInterval: Interval | null;
     score: number | null;
     ratio: number | null;
@@ -386,11 +427,20 @@ declare namespace Api {
     ratioFailed: boolean;
     runs: number;
     n: number;
+    copies: number;
     failed: number;
     datasets: Score[];
   };
   type Board = { facets: Keys; datasets: string[]; entries: Ranked[] };
-  type Leaderboard = { metric: Heading; by: string[]; boards: Board[]; notes: string[] };
+  type Leaderboard = {
+    metric: Heading;
+    by: string[];
+    pooled: Record<string, number>;
+    boards: Board[];
+    /** Causal and final errors, latencies; null where no run was played to. */
+    timely: (Aggregate & { words: string }) | null;
+    notes: string[];
+  };
 
   type ParetoPoint = {
     keys: Keys;
@@ -413,6 +463,7 @@ declare namespace Api {
     keys: Keys;
     runs: number;
     n: number;
+    copies: number;
     failed: number;
     failures: Failures;
     coverage: Figure | null;
@@ -426,6 +477,32 @@ declare namespace Api {
 
   type Suspect = { keys: Keys; scale: number; spread: number; n: number; sentence: string };
   type Suspects = { items: Suspect[]; notes: string[] };
+  type SuspectStretch = {
+    begin: number;
+    end: number;
+    metres: number;
+    direction: [number, number, number];
+    spread: number;
+    ratio: number;
+  };
+  type Suspicion = {
+    systems: string[];
+    instants: number;
+    seconds: number;
+    stretches: SuspectStretch[];
+    rmse: Record<string, number | null>;
+    rmseWithout: Record<string, number | null>;
+    limit: number;
+    profile: Array<[number, number, number]>;
+  };
+  type TruthSuspect = {
+    dataset: string;
+    runs: number;
+    why: string | null;
+    leftOut: string[];
+    found: Suspicion | null;
+  };
+  type TruthSuspects = { items: TruthSuspect[]; notes: string[] };
 
   type Side = {
     runs: number;

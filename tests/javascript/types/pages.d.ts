@@ -49,6 +49,7 @@ type Settings = {
   figure: 'mean' | 'median';
   xlog: boolean;
   ylog: boolean;
+  own: boolean;
 };
 
 /** What an axis has to hold, and how many values lie beyond. */
@@ -146,6 +147,8 @@ type ChartPoint = Array<number | string | null>;
 type Chunk = { points: number[][]; colour: string; width: number; under: boolean };
 type Scene = {
   chunks: Chunk[];
+  /** Where each path begins and ends. */
+  ends: Array<{ points: number[][]; colour: string }>;
   low: number[];
   high: number[];
   middle: number[];
@@ -185,6 +188,7 @@ type Study = {
 
 /** What a run used, and its chart. */
 type Load = { name: string; usage: Api.Usage; colour?: string };
+type Truth = { name: string; track: Api.Track };
 type LoadChart = { title: string; option: ChartOption; table: TableData; ofDataset: boolean };
 
 type SpaceProps = {

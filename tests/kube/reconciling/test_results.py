@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from fakeapi.evaluators import good, measuring
 from fakeapi.refusals import Refusal, conflict, forbidden
-from testcluster.kwok import Moment, Play, description
+from testcluster.kwok import Moment, Play, description, run_message
 from testcluster.lab import condition_of, manifest, run, status_of, sweep, until
 
 from slamhive.kube.api.kinds import Key, Kind
@@ -38,6 +38,39 @@ def refuses(verb: str, resource: str, refusal: Refusal, **labels: str) -> Any:
 
 def is_told(status: dict[str, Any]) -> bool:
     return bool(condition_of(status, "Evaluated"))
+
+
+WHY = "its recording may be why: sensors.lidar: points' times are in µs (points.times.unit)"
+
+
+async def test_a_failed_run_names_the_findings_of_its_recording(make_fake_lab: Callable[..., Lab]) -> None:
+    told = description(findings=["points.times.unit"], suspicion=WHY)
+    lab = make_fake_lab(
+        variant=told, exit_code=3, run=run_message(reason="AlgorithmFailed", message="exit code 3: no map")
+    )
+    async with lab.operator(**SETTINGS) as op:
+        lab.apply(run())
+        status = await status_of(op, Kind.MAPPING_RUN, "one", lambda seen: seen.get("phase") == "Failed")
+    assert status["message"] == f"exit code 3: no map; {WHY}"
+    assert status["provenance"]["prepared"]["findings"] == ["points.times.unit"]
+
+
+@pytest.mark.parametrize(("outcome", "why"), [("Lost", WHY), ("Tracked", "")])
+async def test_a_lost_run_names_the_findings_of_its_recording(
+    make_fake_lab: Callable[..., Lab], outcome: str, why: str
+) -> None:
+    lab = make_fake_lab(variant=description(suspicion=WHY))
+
+    def measured(asked: dict[str, Any]) -> dict[str, Any]:
+        record = good(asked)
+        return {"result": record["result"] | {"outcome": outcome}}
+
+    lab.cluster.log = measuring(measured)
+    async with lab.operator(**SETTINGS) as op:
+        lab.apply(run(evaluate=True))
+        status = await status_of(op, Kind.MAPPING_RUN, "one", is_told)
+    evaluated = condition_of(status, "Evaluated")
+    assert (evaluated["status"], evaluated["message"]) == ("True", why)
 
 
 async def test_results_reach_runs_sweep_and_evaluations(fake_lab: Lab) -> None:

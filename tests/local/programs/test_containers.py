@@ -260,12 +260,10 @@ def test_a_recording_that_others_can_not_read_is_named(boxes: Boxes) -> None:
     assert "chmod o+rX" in (record.message or "")
 
 
-NODE = {
-    "paces": ["Realtime"],
-    "realtime": {"queue": 1, "drop": "Oldest"},
-    "ros1": {"poses": {"topic": "/odometry", "type": "Odometry"}},
-    "recording": ["Rosbag1"],
-}
+PLAYED = {"paces": ["Realtime"], "realtime": {"queue": 1, "drop": "Oldest"}}
+POSES_OF_NODE = {"poses": {"topic": "/odometry", "type": "Odometry"}}
+NODE = PLAYED | {"ros1": POSES_OF_NODE, "recording": ["Rosbag1"]}
+NODE2 = PLAYED | {"ros2": POSES_OF_NODE, "recording": ["Mcap"]}
 MADE_BY = "asked of no registry: in a checkout of SLAM Hive, images/build --tool buildah "
 
 
@@ -283,13 +281,23 @@ def test_no_registry_is_asked_for_an_image_of_ours_or_of_this_machine(
         assert record.reason is Reason.ALGORITHM_UNAVAILABLE
         assert f"needs the image {name}, which is" in (record.message or "")
         assert message in (record.message or "")
-    monkeypatch.setenv("SLAMHIVE_PLAYER_IMAGE", "slamhive/no-player:1")
-    node = shell(POSES) | NODE
-    (record,) = boxes(node, input={"pace": "Realtime"})
+    assert not [line for line in boxes.told if "pull" in line]
+
+
+@pytest.mark.parametrize(
+    ("node", "variable"), [(NODE, "SLAMHIVE_PLAYER_IMAGE"), (NODE2, "SLAMHIVE_ROS2_PLAYER_IMAGE")]
+)
+def test_without_the_image_of_its_player_a_node_is_unavailable(
+    boxes: Boxes, monkeypatch: pytest.MonkeyPatch, node: dict[str, Any], variable: str
+) -> None:
+    """Both before anything runs, and when it should: in the same words, with what makes the image."""
+    monkeypatch.setenv(variable, "slamhive/no-player:1")
+    fields = shell(POSES) | node
+    (record,) = boxes(fields, input={"pace": "Realtime"})
     assert record.reason is Reason.ALGORITHM_UNAVAILABLE
     assert f"{MADE_BY}slamhive/no-player:1" in (record.message or "")
     assert not [line for line in boxes.told if "pull" in line]
-    spec = AlgorithmSpec.model_validate(BASE | node)
+    spec = AlgorithmSpec.model_validate(BASE | fields)
     entry: Any = SimpleNamespace(algorithm=SimpleNamespace(spec=spec))
     assert unavailable(entry) == record.message
 

@@ -9,15 +9,20 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from slamhive import __version__
 from slamhive.local.programs.containerwords import ImageProgram, confined
 from slamhive.local.programs.engines import ContainerChoice, Engine, find_engine
-from slamhive.local.programs.images import Image
+from slamhive.local.programs.images import Image, player_image
 from slamhive.local.programs.unavailable import Unavailable
+from slamhive.model.rosnodes import Ros1, Ros2
 from slamhive.monitor.programs.engine import EngineError
+from slamhive.playback.pod import PLAYER_IMAGES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
+
+    from slamhive.model.rosnodes import RosNode
 
 CONTROLLERS = ["cpuset", "cpu", "cpuacct", "memory", "pids"]
 DOCKER = {"ID": "a", "MemoryLimit": True, "CPUSet": True, "PidsLimit": True, "CgroupVersion": "2"}
@@ -163,3 +168,31 @@ def test_without_root_a_program_is_whom_its_folder_belongs_to(
     words = confined(ImageProgram(engine, Image("sha256:1", ()), "home"), "run", (), 1)
     assert words[words.index("--user") + 1] == user
     assert any(word.startswith("/tmp:") and "notmpcopyup" in word for word in words) is engine.is_podman
+
+
+def node_of(ros: int, **fields: Any) -> RosNode:
+    kind = {1: Ros1, 2: Ros2}[ros]
+    return kind.model_validate({"poses": {"topic": "/odometry", "type": "Odometry"}, **fields})
+
+
+@pytest.mark.parametrize("ros", [1, 2])
+def test_each_ros_has_a_player_of_its_own_and_a_variable_names_another(
+    monkeypatch: pytest.MonkeyPatch, ros: int
+) -> None:
+    own = PLAYER_IMAGES[ros]
+    for other in PLAYER_IMAGES.values():
+        monkeypatch.delenv(other.variable, raising=False)
+    assert player_image(node_of(ros)) == f"slamhive/ros{ros}-player:{__version__}"
+    monkeypatch.setenv(own.variable, "example.org/player:1")
+    assert player_image(node_of(ros)) == "example.org/player:1"
+    assert player_image(node_of(3 - ros)) == f"slamhive/ros{3 - ros}-player:{__version__}"
+
+
+def test_an_rmw_that_our_player_has_not_takes_one_of_the_users(monkeypatch: pytest.MonkeyPatch) -> None:
+    variable = PLAYER_IMAGES[2].variable
+    monkeypatch.delenv(variable, raising=False)
+    node = node_of(2, rmw="rmw_cyclonedds_cpp")
+    with pytest.raises(Unavailable, match=rf"a player with rmw_cyclonedds_cpp, which \${variable} names"):
+        player_image(node)
+    monkeypatch.setenv(variable, "example.org/player:1")
+    assert player_image(node) == "example.org/player:1"

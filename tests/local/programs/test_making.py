@@ -61,6 +61,18 @@ def test_programs_of_the_environment_run_and_its_files_are_its_own(
     assert list(module.parent.glob("__pycache__/shown.*.pyc"))
 
 
+@pytest.mark.parametrize("uv", [True, False], ids=["uv", "pip"])
+def test_a_file_with_hashes_names_all_that_is_installed(
+    uv: bool, requirements: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not uv:
+        monkeypatch.setattr("slamhive.local.programs.making.find_uv", lambda _: None)
+    # As wheels of ROS ask for a package that builds messages alone, and has no wheel.
+    requirements.write_text(f"--no-index\n--find-links {tmp_path}\n{wheel(tmp_path, 'shown', 'absent')}")
+    make(tmp_path / "environment", requirements)
+    assert said(tmp_path / "environment") == "this is shown\n"
+
+
 def test_half_an_environment_is_made_anew(requirements: Path, tmp_path: Path) -> None:
     path = tmp_path / "environment"
     for left in (path, tmp_path / "environment.making"):

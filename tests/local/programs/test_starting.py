@@ -42,11 +42,11 @@ def test_a_folder_is_known_by_its_name_and_says_nothing_of_the_example(
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("Stone", "NAME 'Stone': expected lower-case letters"),
-        ("../stone", "expected lower-case letters"),
-        ("stone-", "expected lower-case letters"),
-        ("", "expected lower-case letters"),
-        ("s" * 64, "64 characters are too many, at most 63 are allowed"),
+        ("Rolling_Stone", "digits, - and ., found 'Rolling_Stone'; try rolling-stone"),
+        ("../stone", "expected a name of lower-case letters"),
+        ("stone-", "expected a name of lower-case letters"),
+        ("", "at least 1 character"),
+        ("s" * 64, "NAME: 64 characters are too many, at most 63 are allowed"),
         ("kiss-icp", "the algorithm 'kiss-icp' is known already"),
         ("taken", "nothing is overwritten"),
     ],

@@ -119,8 +119,19 @@ def test_a_run_without_a_pose_is_kept_and_reused_as_what_it_is(run_acts: Callabl
     assert second.records[0].provenance.reused_from
 
 
+def test_rows_of_nan_are_counted_beside_the_coverage(run_acts: Callable) -> None:
+    _, notes = run_acts(["nan"])
+    (record,) = notes.records
+    (result,) = record.results
+    left_out, poses = result.values["nanRows"], result.values["estimatePoses"]
+    assert record.trajectory.poses == poses == 150
+    assert left_out == 51
+    assert f"{left_out} of {left_out + poses} rows hold NaN and were left out" in result.values["notes"]
+    assert result.values["ate"]["rmse"] < 1e-5
+
+
 def test_the_other_runs_go_on_beside_bad_ones(run_acts: Callable) -> None:
-    job, _ = run_acts(["crash", "good", "nan", "segfault"], repetitions=2)
+    job, _ = run_acts(["crash", "good", "infinite", "segfault"], repetitions=2)
     assert (job.count(PointState.SUCCEEDED), job.count(PointState.FAILED)) == (2, 6)
 
 

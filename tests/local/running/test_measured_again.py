@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import shutil
 import signal
@@ -16,12 +17,20 @@ from slamhive.archive import Archive
 from slamhive.local.home.folder import Home
 from slamhive.local.running import measuring_apart
 from slamhive.local.running.evaluating import TrajectoryEvaluator
-from slamhive.local.running.evaluations import Unmeasured, bring_up_to_date, measure_record
+from slamhive.local.running.evaluations import (
+    Unmeasured,
+    bring_up_to_date,
+    measure_outdated,
+    measure_record,
+)
 from slamhive.local.running.execution import RunDriver
 from slamhive.local.running.workbench import Workbench
 from slamhive.model.evaluation import EvaluationSettings
 from slamhive.model.results import Phase
+from slamhive.model.sweep import Sweep
 from slamhive.monitor.measuring.bounded import BoundedProcess
+
+from .sweeps import sweep_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -46,10 +55,104 @@ def test_a_trajectory_that_was_replaced_is_not_measured(run_acts: Callable, benc
 def test_a_run_done_again_keeps_no_result_of_its_earlier_trajectory(
     run_acts: Callable, bench: Workbench
 ) -> None:
+    """Notes on it stay, when it is measured and when it is done again."""
     job, notes = run_acts(["good"])
+    uid = job.run_uid(0)
+    bench.archive.annotate([uid], lambda had: had.changed("tried a robust kernel", ["robust"], []))
     assert measure_record(bench, notes.records[0], ORIGIN, "mine") is None
+    assert [bench.archive.get(uid).note, len(bench.archive.get(uid).results)] == ["tried a robust kernel", 2]
     run_acts(["good"], rerun=True)
-    assert [one.evaluation for one in bench.archive.get(job.run_uid(0)).results] == ["se3"]
+    again = bench.archive.get(uid)
+    assert [one.evaluation for one in again.results] == ["se3"]
+    assert (again.note, again.tags) == ("tried a robust kernel", ["robust"])
+
+
+def test_a_sweep_s_template_gives_its_runs_a_note_and_tags(run_sweep: Callable, bench: Workbench) -> None:
+    body = sweep_of(["good"]).as_json()
+    annotations = {"slamhive.io/note": "the baseline", "slamhive.io/tags": "b, a"}
+    body["spec"]["template"]["metadata"] = {"annotations": annotations}
+    job, _ = run_sweep(Sweep.model_validate(body))
+    record = bench.archive.get(job.run_uid(0))
+    assert (record.note, record.tags, record.noted) == ("the baseline", ["a", "b"], None)
+
+
+def outdated(bench: Workbench, uid: str) -> None:
+    """Make the results of a run those of the first version of the evaluation, which named itself nowhere."""
+    for result in bench.archive.get(uid).results:
+        values = {**result.values, "ate": {"rmse": 9.0}}
+        del values["evaluationVersion"]
+        bench.archive.put_result(uid, result.replace(values=values))
+
+
+def errors(bench: Workbench, uid: str) -> dict[str, float]:
+    return {one.evaluation: one.values["ate"]["rmse"] for one in bench.archive.get(uid).results}
+
+
+def test_results_of_an_earlier_version_of_the_evaluation_are_brought_up_to_date(
+    run_acts: Callable, bench: Workbench
+) -> None:
+    """By their settings: those of their sweep, or the usual ones; others nobody knows any more."""
+    job, notes = run_acts(["good"], evaluation={"alignment": "Origin"})
+    uid = job.run_uid(0)
+    forgotten = EvaluationSettings.model_validate({"association": {"maxDifference": "11ms"}})
+    for settings, name in ((EvaluationSettings(), "mine"), (forgotten, "forgotten")):
+        assert measure_record(bench, notes.records[0], settings, name) is None
+    before = errors(bench, uid)
+    assert measure_outdated(bench, {uid}) == (0, [])
+    outdated(bench, uid)
+    assert measure_outdated(bench, set()) == (0, [])
+    done, [problem] = measure_outdated(bench, {uid})
+    assert (done, problem.is_fault) == (0, False)
+    assert "the settings of evaluation 'forgotten' are not known here: run its file" in problem.sentence
+    assert errors(bench, uid) == before | {"forgotten": 9.0}
+
+
+def test_a_sweep_that_is_run_again_is_measured_by_the_latest_version(
+    run_acts: Callable, bench: Workbench
+) -> None:
+    """A run that takes over an equal one takes no old figure; what is gone can't be measured."""
+    job, notes = run_acts(["good"])
+    uid = job.run_uid(0)
+    before = errors(bench, uid)
+    outdated(bench, uid)
+    other, again = run_acts(["good"], name="same")
+    assert other.reused == 1
+    assert again.records[0].results[0].values["ate"]["rmse"] == before["se3"]
+    assert bring_up_to_date(bench, job.uid, EvaluationSettings()) == []
+    assert errors(bench, uid) == before
+    outdated(bench, uid)
+    shutil.rmtree(notes.records[0].folder)
+    assert bring_up_to_date(bench, job.uid, EvaluationSettings()) == []
+    done, [problem] = measure_outdated(bench, {uid})
+    assert (done, errors(bench, uid)) == (0, {"se3": 9.0})
+    assert "its trajectory" in problem.sentence
+
+
+def test_what_an_earlier_version_measured_is_marked_until_it_is_measured_again(
+    run_acts: Callable, bench: Workbench, run_command: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SLAMHIVE_HOME", str(bench.home.path))
+    _, notes = run_acts(["good", "noted"])
+    record = notes.records[0]
+    before = errors(bench, record.uid)["se3"]
+    outdated(bench, record.uid)
+    for words in (("results", "table"), ("results", "list")):
+        _, _, said = run_command(*words)
+        assert "1 run was measured by an earlier version of the evaluation" in " ".join(said.split())
+    _, out, _ = run_command("results", "table", "--rows", "algorithm", "--format", "json")
+    assert [(row["evaluationVersion"], row["n"]) for row in json.loads(out)] == [(1, 1), (2, 1)]
+    _, _, said = run_command("results", "show", record.name)
+    assert "se3: measured by version 1 of the evaluation, 2 is current" in " ".join(said.split())
+
+    code, out, _ = run_command("results", "measure", "--where", "run == 'nobody'")
+    assert code == 2
+    code, out, _ = run_command("results", "measure")
+    assert (code, out.strip()) == (0, "1 run measured again")
+    assert errors(bench, record.uid)["se3"] == before
+    code, out, _ = run_command("results", "measure")
+    assert (code, out.strip()) == (0, "all results are up to date")
+    _, _, said = run_command("results", "table")
+    assert "earlier version" not in said
 
 
 def test_a_run_being_done_again_is_not_finished(

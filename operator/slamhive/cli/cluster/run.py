@@ -276,8 +276,9 @@ def _report(fetched: Fetched, item: _AwaitedObject) -> None:
         parts += [f"{waiting} not run ({found.get('phase')})"] if waiting else []
         parts += [f"{found['reused']} reused"] if found.get("reused") else []
         out.print(f"{escape(fetched.name)}: {plural(total, 'run')}: {', '.join(parts)}")
-    more = f"{command_name()} results table --sweep {fetched.stored}   (list, show, export)"
-    out.print(f"More:       {more}", soft_wrap=True, markup=False)
+    if fetched.runs:  # else nobody knows the sweep here
+        more = f"{command_name()} results table --sweep {fetched.stored}   (list, show, export)"
+        out.print(f"More:       {more}", soft_wrap=True, markup=False)
 
 
 def _emit_end(fetched: Fetched, item: _AwaitedObject) -> None:

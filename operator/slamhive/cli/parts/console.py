@@ -67,6 +67,14 @@ def remark(message: str) -> None:
     err.print(f"[dim]{escape(printable(message))}[/]")
 
 
+def warn(message: str) -> None:
+    """Print a sentence about what won't be as it was asked for."""
+    if _json_lines:
+        remark(message)
+    else:
+        err.print(f"[yellow]{escape(printable(message))}[/]", soft_wrap=True)
+
+
 def command_name() -> str:
     """Return the words to call this command again: its name when that is on the PATH."""
     return "slamhive" if shutil.which("slamhive") else sys.argv[0]

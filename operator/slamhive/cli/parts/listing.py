@@ -14,7 +14,6 @@ from slamhive.cli.parts.console import out
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_UNBOUNDED = 10_000
 _LEAST = 24
 """Characters below which a column of prose says nothing."""
 _FRAME = 3
@@ -34,12 +33,12 @@ def show_catalog(
         lines: of text, one for each entry.
         prose: numbers of columns that are cut to one line, or left out where there is no room; the most
             important first. All others stand as they are.
-        console: where to print; one that is no terminal is as wide as it takes.
+        console: where to print; one that is no terminal has the width that COLUMNS says, or 80.
 
     Returns:
         Whether every column had room.
     """
-    width = console.width if console.is_terminal else _UNBOUNDED
+    width = console.width
     widest = [max(len(cell) for cell in column) + _FRAME for column in zip(headings, *lines, strict=True)]
     left = width - 1 - sum(size for number, size in enumerate(widest) if number not in prose)
     limits = {number: widest[number] - _FRAME for number in range(len(headings)) if number not in prose}

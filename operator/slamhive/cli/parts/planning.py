@@ -38,7 +38,10 @@ def sweeps_of(objects: Sequence[Kind]) -> list[Sweep]:
 
 def _as_sweep(single: MappingRun) -> Sweep:
     spec = single.spec.model_dump(mode="json", by_alias=True, exclude_unset=True)
-    template = RunTemplate(metadata=TemplateMeta(labels=single.metadata.labels), spec=spec)
+    template = RunTemplate(
+        metadata=TemplateMeta(labels=single.metadata.labels, annotations=single.metadata.annotations),
+        spec=spec,
+    )
     return Sweep(metadata=single.metadata, spec=SweepSpec(template=template))
 
 

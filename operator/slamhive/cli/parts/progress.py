@@ -20,6 +20,7 @@ from slamhive.local.running.execution import RunStep
 from slamhive.local.running.outlook import RunStanding, sentences
 from slamhive.model.results import Phase
 from slamhive.tables.text import short_name
+from slamhive.tables.words import disproportion
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -370,8 +371,7 @@ def run_line(record: RunRecord, words: str | None = None, before: float | None =
         ate = result.values.get("ate")
         figure = f" ATE {ate['rmse']:.4g} m{_against(ate['rmse'], before)}" if ate else ""
         parts.append(f"{result.outcome}{figure}")
-        if why := _told(result):
-            parts.append(f"[yellow]{escape(why)}[/]")
+        parts += [f"[yellow]{escape(why)}[/]" for why in (_told(result), disproportion(result)) if why]
     usage = record.usage
     if record.provenance.reused_from:
         parts.append("reused")
@@ -408,7 +408,7 @@ def run_values(record: RunRecord) -> dict[str, Any]:
         "dataset": record.spec["datasetRef"]["name"],
         "phase": str(record.phase),
         "reason": str(record.reason) if record.reason else None,
-        "message": record.message or (_told(found) if found else None),
+        "message": record.message or ((_told(found) or disproportion(found)) if found else None),
         "outcome": str(found.outcome) if found else None,
         "ate": (found.values.get("ate") or {}).get("rmse") if found else None,
         "cpuSeconds": usage.cpu.seconds if usage else None,

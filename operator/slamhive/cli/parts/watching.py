@@ -100,7 +100,7 @@ def half_saved(entry: AlgorithmEntry) -> list[str]:
         return [f"{adapter} is not there"]
     problems = [f"{adapter} is empty"] if adapter.stat().st_size == 0 else []
     try:
-        python = interpreter(program, ros=entry.algorithm.spec.ros1 is not None)
+        python = interpreter(entry)
     except Unavailable:
         return problems
     if python.version == sys.version_info[:2]:

@@ -22,6 +22,7 @@ from slamhive.analysis.grouping import (
     varying,
 )
 from slamhive.analysis.leaderboard import leaderboard
+from slamhive.analysis.measures import CAUSAL
 from slamhive.dashboard.answering.encoding import Body, plain
 from slamhive.dashboard.answers.columns import (
     coded,
@@ -33,6 +34,8 @@ from slamhive.dashboard.answers.columns import (
 from slamhive.dashboard.problems import TooLarge
 from slamhive.tables.queries import column, columns, number_column, outcomes, select
 from slamhive.tables.text import as_columns, flat_cells, flat_summary
+from slamhive.tables.timeliness import FACTOR, LATENCIES, WORDS, timeliness
+from slamhive.tables.words import disproportion_notes, meanings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,8 +47,9 @@ if TYPE_CHECKING:
     from slamhive.dashboard.sources.archived import Snapshot
     from slamhive.tables.queries import Pairs
 
-KEPT_APART = tuple(name for name in (*FACETS, *LOAD_FACETS) if name not in {*SUBJECT, "settings"})
-"""Columns whose mixture a chart must not pass over in silence."""
+_NO_FACETS = {*SUBJECT, "settings", "evaluationVersion"}
+KEPT_APART = tuple(name for name in (*FACETS, *LOAD_FACETS) if name not in _NO_FACETS)
+"""Columns whose mixture a chart must not pass over in silence; of versions of the evaluation a note tells."""
 
 _MEMORY, (_KIND,) = ("usage.memory.peakBytes", "usage.memory.meanBytes"), MEMORY_FACETS
 
@@ -57,8 +61,8 @@ MAX_FIGURES = 30_000
 
 DIGITS = 6
 DEFAULT_METRICS = (
-    *("ate.rmse", "rpe[0].rmse", "usage.cpu.secondsPerDataSecond", "usage.cpu.meanCores"),
-    "usage.memory.peakBytes",
+    *("ate.rmse", f"{CAUSAL}ate.rmse", "rpe[0].rmse", "usage.cpu.secondsPerDataSecond"),
+    *("usage.cpu.meanCores", "usage.memory.peakBytes", *LATENCIES, FACTOR),
 )
 POINTS_RESERVED = ("x", "y", "colour", "size", "facet", "digits", "format")
 AGGREGATE_RESERVED = ("by", "metrics", "outcomes", "format")
@@ -86,7 +90,7 @@ def points(snapshot: Snapshot, pairs: Pairs, axes: dict[str, str | None], digits
         "count": len(frame),
         "digits": shown,
         "axes": {
-            axis: heading(frame, name) | coded(frame.column(name), shown)
+            axis: heading(frame, name, [*filter(None, axes.values())]) | coded(frame.column(name), shown)
             for axis, name in axes.items()
             if name is not None
         },
@@ -173,27 +177,37 @@ def limit_groups(frame: Frame, keys: Sequence[str], figures: int, field: str) ->
 
 
 def _aggregate_json(snapshot: Snapshot, chosen: Chosen, found: Aggregate) -> dict[str, Any]:
+    """Return groups of runs with the figures of each."""
     frame = chosen.frame
     return {
         "revision": snapshot.revision,
         "rows": len(frame),
         "keys": [heading(frame, name) | {"facet": name in found.facets} for name in found.keys],
-        "metrics": [heading(frame, name) for name in found.metrics],
+        "metrics": [heading(frame, name, found.metrics) for name in found.metrics],
         "groups": [
             {
                 "keys": cell.keys,
                 "runs": cell.runs,
                 "n": cell.n,
+                "copies": cell.copies,
                 "failed": sum(cell.failures.values()),
                 "failures": cell.failures,
                 "untracked": cell.untracked,
                 "deterministic": cell.deterministic,
+                "findings": cell.findings,
+                "reader": cell.reader,
+                "late": cell.late,
                 "coverage": summary_json(cell.coverage),
                 "figures": {name: figure_json(figure) for name, figure in cell.figures.items()},
             }
             for cell in found.cells
         ],
-        "notes": [*chosen.notes, *found.notes],
+        "notes": [
+            *meanings(frame, [*found.metrics, "coverage"]),
+            *chosen.notes,
+            *found.notes,
+            *disproportion_notes(frame),
+        ],
     }
 
 
@@ -212,13 +226,21 @@ def ranked(snapshot: Snapshot, pairs: Pairs, metric: str, by: str | None, which:
     chosen = select(snapshot.frame, pairs, LEADERBOARD_RESERVED)
     frame = chosen.frame
     found = leaderboard(frame, metric, told, outcomes(which))
+    timely = timeliness(frame, metric, told, outcomes(which))
     content = {
         "revision": snapshot.revision,
         "rows": len(frame),
         "metric": heading(frame, metric),
         "by": list(found.by),
+        "pooled": found.pooled,
         "boards": [_board_json(board) for board in found.boards],
-        "notes": [*chosen.notes, *found.notes],
+        "timely": timely and {"words": WORDS} | _aggregate_json(snapshot, chosen, timely),
+        "notes": [
+            *meanings(frame, [metric, "coverage"]),
+            *chosen.notes,
+            *found.notes,
+            *disproportion_notes(frame),
+        ],
     }
     return Body(content, lambda: as_columns(_board_rows(found)))
 
@@ -235,6 +257,7 @@ def _entry_json(entry: Entry) -> dict[str, Any]:
     return {
         "keys": entry.keys,
         "rank": plain(entry.rank),
+        "unranked": entry.unranked,
         "rankInterval": interval_json(entry.rank_interval),
         "score": plain(entry.score),
         "ratio": plain(entry.ratio),
@@ -242,7 +265,8 @@ def _entry_json(entry: Entry) -> dict[str, Any]:
         "ratioFailed": plain(entry.ratio) is None,
         "runs": entry.runs,
         "n": entry.n,
-        "failed": entry.runs - entry.n,
+        "copies": entry.copies,
+        "failed": entry.failed,
         "datasets": [_standing_json(standing) for standing in entry.standings],
     }
 
@@ -252,6 +276,7 @@ def _standing_json(standing: Standing) -> dict[str, Any]:
         "dataset": standing.dataset,
         "runs": standing.runs,
         "n": standing.n,
+        "copies": standing.copies,
         "failures": standing.failures,
         "median": plain(standing.median),
         "medianFailed": math.isinf(standing.median),

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``/api/v1``: what there is: sweeps, evaluations, algorithms, datasets."""
+"""``/api/v1``: what there is in numbers: evaluations, algorithms, datasets."""
 
 from __future__ import annotations
 
-from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from slamhive import __version__
 from slamhive.analysis.grouping import where_equal
 from slamhive.analysis.selection import first_rows
 from slamhive.dashboard.answering.encoding import Body
-from slamhive.dashboard.problems import BadRequest, Missing
+from slamhive.dashboard.problems import Missing
 from slamhive.model.base import API_VERSION
 from slamhive.model.errors import suggestion
 from slamhive.tables.text import as_columns
@@ -23,12 +22,10 @@ if TYPE_CHECKING:
 
     from slamhive.analysis.columns import Column, Mask
     from slamhive.analysis.frame import Frame
-    from slamhive.archive.records import CatalogEntry, SweepRecord
-    from slamhive.dashboard.answering.totals import StoredSweeps
+    from slamhive.archive.records import CatalogEntry
     from slamhive.dashboard.sources.archived import Snapshot, Source
 
-_MAX_NAMES = 200
-_LIVE = frozenset({"Pending", "Preparing", "Running"})
+MAX_NAMES = 200
 
 
 def index(snapshot: Snapshot, source: Source) -> Body:
@@ -41,11 +38,11 @@ def state(snapshot: Snapshot, source: Source) -> dict[str, Any]:
     everything, frame = single(snapshot.frame), current(snapshot.frame)
     runs = single(frame)
     counts = {
-        name: len(_names(runs.column(column)))
+        name: len(names(runs.column(column)))
         for name, column in (("algorithms", "algorithm"), ("datasets", "dataset"))
     }
-    counts["sweeps"] = len({*_sweep_names(everything), *snapshot.sweeps, *snapshot.asked})
-    counts["evaluations"] = len(_names(frame.column("evaluation")))
+    counts["sweeps"] = len({*sweep_names(everything), *snapshot.sweeps, *snapshot.asked})
+    counts["evaluations"] = len(names(frame.column("evaluation")))
     counts["superseded"] = len(everything) - len(runs)
     return {
         "revision": snapshot.revision,
@@ -58,12 +55,18 @@ def state(snapshot: Snapshot, source: Source) -> dict[str, Any]:
 
 def single(frame: Frame) -> Frame:
     """Return one row a run."""
-    return frame.select(first_rows(frame))
+    rows = first_rows(frame)
+    return frame if len(rows) == len(frame) else frame.select(rows)
 
 
 def current(frame: Frame) -> Frame:
     """Return the rows of runs that are not superseded."""
-    return frame.select(~frame.column("superseded").present)
+    return chosen(frame, ~frame.column("superseded").present)
+
+
+def chosen(frame: Frame, mask: Mask) -> Frame:
+    """Return the rows of a mask; mostly all, which then keep the columns that were looked at."""
+    return frame if mask.all() else frame.select(mask)
 
 
 def tally(column: Column) -> dict[str, int]:
@@ -75,143 +78,21 @@ def tally(column: Column) -> dict[str, int]:
     return dict(sorted((pair for pair in pairs if pair[1]), key=lambda pair: (-pair[1], pair[0])))
 
 
-def _names(column: Column) -> list[Any]:
+def names(column: Column) -> list[Any]:
+    """Return the values of a column of texts, the most frequent first."""
     return list(tally(column))
 
 
-def _sweep_names(runs: Frame) -> list[tuple[str, str]]:
+def sweep_names(runs: Frame) -> list[tuple[str, str]]:
     """Return the (namespace, name) of the sweeps that runs belong to; no namespace is a workstation."""
-    pairs = zip(runs.column("namespace").tolist(), runs.column("sweep").tolist(), strict=True)
-    return list(dict.fromkeys((space or "", name) for space, name in pairs if name is not None))
+    (spaces, places), (sweeps, titles) = (runs.column(name).factorized() for name in ("namespace", "sweep"))
+    codes, firsts = np.unique(np.int64(spaces) * len(titles) + sweeps, return_index=True)
+    pairs = [divmod(code, len(titles)) for code in codes[np.argsort(firsts)].tolist()]
+    return [(places[space] or "", titles[name]) for space, name in pairs if titles[name] is not None]
 
 
-def _of_sweep(frame: Frame, namespace: str, name: str) -> Mask:
-    spaces = frame.column("namespace")
-    inside = where_equal(frame, "namespace", namespace) if namespace else ~spaces.present
-    return where_equal(frame, "sweep", name) & inside
-
-
-def sweeps(snapshot: Snapshot, stored: StoredSweeps) -> Body:
-    """Return the sweeps, the latest first, all versions of one together."""
-    runs = single(snapshot.frame)
-    known: dict[tuple[str, str], list[SweepRecord]] = {}
-    for sweep in stored.records:
-        known.setdefault((sweep.namespace or "", sweep.name), []).append(sweep)
-    names = dict.fromkeys([*reversed(known), *snapshot.sweeps, *_sweep_names(runs)])
-    items = [_sweep(snapshot, runs, name, known.get(name, []), stored.totals) for name in names]
-    items.sort(key=lambda item: (not item["live"], -_moment(item["created"] or item["finished"])))
-    flat = ("name", "uid", "created", "live", "total", "runs", "started", "finished")
-    return Body(
-        {"revision": snapshot.revision, "items": items},
-        lambda: {name: [item[name] for item in items] for name in flat},
-    )
-
-
-def _moment(text: str | None) -> float:
-    return datetime.fromisoformat(text).timestamp() if text else 0.0
-
-
-def _sweep(
-    snapshot: Snapshot,
-    runs: Frame,
-    address: tuple[str, str],
-    records: Sequence[SweepRecord],
-    totals: Mapping[str, int | None],
-) -> dict[str, Any]:
-    namespace, name = address
-    everything = runs.select(_of_sweep(runs, namespace, name))
-    inside = current(everything)
-    rows = current(snapshot.frame.select(_of_sweep(snapshot.frame, namespace, name)))
-    live = snapshot.sweeps.get(address) or {}
-    record = records[-1] if records else None
-    phases = tally(inside.column("phase"))
-    total = live.get("total")
-    created = live.get("created") or (record.created.isoformat() if record and record.created else None)
-    return {
-        "name": name,
-        "namespace": namespace or None,
-        "superseded": len(everything) - len(inside),
-        "versions": len({one.uid for one in records} | ({live["uid"]} if live.get("uid") else set())),
-        "uid": live.get("uid") or (record.uid if record else None),
-        "created": created,
-        "live": bool(live.get("live")) or bool(_LIVE & phases.keys()),
-        "total": total if total is not None else totals.get(record.uid) if record else None,
-        "runs": len(inside),
-        "phases": phases | dict(live.get("phases") or {}),
-        "statuses": tally(rows.column("status")),
-        "algorithms": _names(inside.column("algorithm"))[:_MAX_NAMES],
-        "datasets": _names(inside.column("dataset"))[:_MAX_NAMES],
-        "started": _end(inside, "started", np.nanmin),
-        "finished": _end(inside, "finished", np.nanmax),
-        "axes": _axes(live.get("spec") or (record.spec if record else {})),
-        "best": list(live.get("best") or ()),
-    }
-
-
-def _end(frame: Frame, name: str, choose: Any) -> str | None:
-    column = frame.column(name)
-    return str(column.plain(float(choose(column.floats())))) if not column.is_empty else None
-
-
-def _axes(spec: Mapping[str, Any]) -> list[dict[str, Any]]:
-    axes = spec.get("matrix")
-    if not isinstance(axes, list):
-        return []
-    shown = []
-    for axis in axes:
-        if isinstance(axis, dict):
-            values = axis.get("values") or axis.get("points")
-            count = len(values) if isinstance(values, list | dict) else (axis.get("range") or {}).get("count")
-            shown.append({"name": axis.get("name") or axis.get("path"), "count": count})
-    return shown
-
-
-def sweep(snapshot: Snapshot, stored: StoredSweeps, name: str, namespace: str | None) -> Body:
-    """Return one sweep with its spec.
-
-    Args:
-        snapshot: the data.
-        stored: the sweeps that the archive knows.
-        name: the sweep's name.
-        namespace: where it is, needed where several sweeps have the name; empty for a workstation.
-
-    Raises:
-        Missing: no sweep is called so.
-        BadRequest: several are.
-    """
-    runs = single(snapshot.frame)
-    known = {
-        *_sweep_names(runs),
-        *snapshot.sweeps,
-        *((one.namespace or "", one.name) for one in stored.records),
-    }
-    found = [(space, title) for space, title in known if title == name and namespace in {None, space}]
-    if not found:
-        names = [title for _, title in known]
-        raise Missing(f"unknown sweep {name[:100]!r}{suggestion(name[:100], names)}", "name")
-    if len(found) > 1:
-        places = ", ".join(sorted(space or "this workstation" for space, _ in found))
-        raise BadRequest(
-            f"several sweeps are called {name!r}: say in which namespace ({places})", "namespace"
-        )
-    address = found[0]
-    records = [one for one in stored.records if (one.namespace or "", one.name) == address]
-    record = records[-1] if records else None
-    live = snapshot.sweeps.get(address)
-    spec = (live or {}).get("spec") or (record.spec if record else {})
-    return Body(
-        _sweep(snapshot, runs, address, records, stored.totals)
-        | {
-            "revision": snapshot.revision,
-            "spec": spec,
-            "manifest": _manifest("Sweep", name, record.labels if record else {}, spec) if spec else None,
-            "evaluation": record.evaluation if record else None,
-            "conditions": list((live or {}).get("conditions") or ()),
-        }
-    )
-
-
-def _manifest(kind: str, name: str, labels: Mapping[str, str], spec: Mapping[str, Any]) -> str:
+def manifest(kind: str, name: str, labels: Mapping[str, str], spec: Mapping[str, Any]) -> str:
+    """Return the YAML of an object."""
     metadata: dict[str, Any] = {"name": name} | ({"labels": dict(labels)} if labels else {})
     body = {"apiVersion": API_VERSION, "kind": kind, "metadata": metadata, "spec": dict(spec)}
     return str(yaml.safe_dump(body, sort_keys=False, allow_unicode=True, width=100))
@@ -221,13 +102,13 @@ def evaluations(snapshot: Snapshot) -> Body:
     """Return the evaluations that there are results of."""
     frame = current(snapshot.frame)
     items = []
-    for name in _names(frame.column("evaluation")):
+    for name in names(frame.column("evaluation")):
         rows = frame.select(where_equal(frame, "evaluation", name))
         items.append(
             {
                 "name": name,
-                "alignments": _names(rows.column("alignment")),
-                "settings": _names(rows.column("settings")),
+                "alignments": names(rows.column("alignment")),
+                "settings": names(rows.column("settings")),
                 "rows": len(rows),
                 "outcomes": tally(rows.column("outcome")),
             }
@@ -239,8 +120,8 @@ def catalog(snapshot: Snapshot, known: Sequence[CatalogEntry], kind: str) -> Bod
     """Return the Algorithms or Datasets that runs used, with what became of those runs."""
     entries = {entry.name: entry for entry in known}
     column = kind.lower()
-    names = dict.fromkeys([*_names(single(snapshot.frame).column(column)), *entries])
-    items = [_entry(snapshot, column, name, entries.get(name)) for name in names]
+    known_names = dict.fromkeys([*names(single(snapshot.frame).column(column)), *entries])
+    items = [_entry(snapshot, column, name, entries.get(name)) for name in known_names]
     flat = ("name", "description", "runs", "labels", "attributes", "statuses")
     return Body(
         {"revision": snapshot.revision, "items": items},
@@ -252,17 +133,18 @@ def _entry(snapshot: Snapshot, column: str, name: str, entry: CatalogEntry | Non
     rows = current(snapshot.frame.select(where_equal(snapshot.frame, column, name)))
     runs = single(rows)
     spec = entry.spec if entry else {}
+    recorded = _attributes(runs) if column == "dataset" else {}
     return {
         "name": name,
         "description": spec.get("description"),
         "labels": entry.labels if entry else {},
-        "attributes": (entry.attributes if entry else {}) or _attributes(runs),
+        "attributes": (entry.attributes if entry else {}) or recorded,
         "runs": len(runs),
         "statuses": tally(rows.column("status")),
-        "modes": _names(runs.column("sensors")),
-        ("datasets" if column == "algorithm" else "algorithms"): _names(
+        "modes": names(runs.column("sensors")),
+        ("datasets" if column == "algorithm" else "algorithms"): names(
             runs.column("dataset" if column == "algorithm" else "algorithm")
-        )[:_MAX_NAMES],
+        )[:MAX_NAMES],
         "spec": spec,
     }
 
@@ -283,11 +165,11 @@ def catalog_entry(snapshot: Snapshot, known: Sequence[CatalogEntry], kind: str, 
     entries = [entry for entry in known if entry.name == name]
     column = kind.lower()
     if not entries and not where_equal(snapshot.frame, column, name).any():
-        used = _names(snapshot.frame.column(column))
+        used = names(snapshot.frame.column(column))
         raise Missing(f"unknown {column} {name[:100]!r}{suggestion(name[:100], used)}", "name")
     entry = entries[-1] if entries else None
     content = _entry(snapshot, column, name, entry)
-    content["manifest"] = _manifest(kind, name, entry.labels, entry.spec) if entry else None
+    content["manifest"] = manifest(kind, name, entry.labels, entry.spec) if entry else None
     content["versions"] = len(entries)
     if column == "algorithm":
         content["parameters"] = content["spec"].get("parameters") or {}

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from slamhive.dashboard.answering.encoding import plain
 from slamhive.tables.text import PARTS
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from slamhive.analysis.cells import Figure
     from slamhive.analysis.columns import Column, Floats
     from slamhive.analysis.frame import Frame
@@ -24,15 +27,21 @@ _MAX_DISTINCT = 200
 _MAX_NUMBERS = 40
 
 
-def heading(frame: Frame, name: str) -> dict[str, Any]:
-    """Return the facts about a column that are needed to show it."""
+def heading(frame: Frame, name: str, among: Collection[str] = ()) -> dict[str, Any]:
+    """Return the facts about a column that are needed to show it.
+
+    Args:
+        frame: the runs.
+        name: of the column.
+        among: names of the columns beside it.
+    """
     with declared_units(frame.units):
         metric = Metric.parse(name) if ":" not in name else Metric(name, "", 1.0)
         return {
             "name": name,
             "kind": str(frame.column(name).kind),
-            "title": metric.title,
-            "label": metric.label,
+            "title": metric.title_among(among),
+            "label": metric.label_among(among),
             "unit": metric.unit or None,
             "factor": metric.factor,
             "better": measure_of(name.partition(":")[0]).better or None,
@@ -51,10 +60,12 @@ def profile(frame: Frame, name: str) -> dict[str, Any]:
             described |= {"min": ends[0], "max": ends[1]}
         values = [column.plain(value) for value in uniques[:_MAX_DISTINCT].tolist()]
     else:
-        used, counts = np.unique(column.codes[column.present], return_counts=True)
-        order = sorted(range(len(used)), key=lambda place: str(column.values[used[place]]))
-        counts = counts[order]
-        values = [column.values[code] for code in used[order][:_MAX_DISTINCT].tolist()]
+        counts = np.bincount(column.codes[column.present], minlength=len(column.values))
+        used = np.flatnonzero(counts)
+        if len(used) <= _MAX_DISTINCT:  # else they are not told, and need no order
+            used = used[sorted(range(len(used)), key=lambda place: str(column.values[used[place]]))]
+        counts = counts[used]
+        values = [column.values[code] for code in used[:_MAX_DISTINCT].tolist()]
     most = _MAX_DISTINCT if column.kind is not ColumnKind.NUMBER else _MAX_NUMBERS
     few = len(counts) <= most
     pairs = zip(values, counts.tolist(), strict=False)
@@ -118,8 +129,8 @@ def summary_json(summary: Summary | None) -> dict[str, Any] | None:
 
 
 def interval_json(interval: Interval | None) -> dict[str, Any] | None:
-    """Return an interval; null at an end that failed runs reach into."""
-    if interval is None:
+    """Return an interval, null where it isn't known; null at an end that failed runs reach into."""
+    if interval is None or math.isnan(interval.low):
         return None
     return {"low": plain(interval.low), "high": plain(interval.high), "method": interval.method}
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.common import measure_in_common, ranked_medians
-from slamhive.analysis.grouping import Outcomes
+from slamhive.analysis.derived import PACE
+from slamhive.analysis.grouping import Outcomes, apart
 from slamhive.dashboard.answering.encoding import Body, plain
 from slamhive.dashboard.problems import BadRequest
 from slamhive.model.results import Outcome
@@ -125,6 +126,8 @@ def meant(snapshot: Snapshot, pairs: Pairs, by: str | None, which: str) -> Meant
     tracked = outcomes(which) is Outcomes.TRACKED
     chosen = select(snapshot.frame, pairs, RESERVED)
     frame = chosen.frame.select(chosen.frame.column("outcome").present)
+    if PACE in apart(frame, [*told, *_FACETS], ())[1]:
+        told = [*told, PACE]  # never pooled
     if len(frame) > MOST_RESULTS:
         raise BadRequest(
             f"{len(frame):,} results are selected, and at most {MOST_RESULTS} are measured again at a time: "

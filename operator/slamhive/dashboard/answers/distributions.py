@@ -13,6 +13,7 @@ from slamhive.analysis.columns import Column
 from slamhive.analysis.grouping import (
     Groups,
     apart,
+    copy_notes,
     direction_notes,
     disturbance_notes,
     pooling_notes,
@@ -90,7 +91,7 @@ def ecdf(
     frame = frame.select(shown.rows)
     groups = Groups(frame, [*facets, *asked])
     ranking = Ranking(frame, metric, counted)
-    found = [(keys, ranking.of(rows)) for rows, keys in zip(groups.members(), groups.keys, strict=True)]
+    found = list(zip(groups.keys, ranking.each(groups), strict=True))
     mixed = [name for name in varying(frame) if name not in (*groups.names, *pooled)]
     content = {
         "revision": snapshot.revision,
@@ -108,6 +109,7 @@ def ecdf(
             *direction_notes([metric]),
             *disturbance_notes(frame, [metric]),
             *unranked_notes(frame, counted),
+            *copy_notes(sum(ranked.copies for _, ranked in found), [metric]),
         ],
     }
     return Body(content, lambda: as_columns(list(_steps(found))))
@@ -335,8 +337,7 @@ def _boards(
 def _cells(board: Frame, ranking: Ranking, names: list[str]) -> list[dict[str, Any]]:
     groups = Groups(board, names)
     cells = []
-    for rows, keys in zip(groups.members(), groups.keys, strict=True):
-        ranked = ranking.of(rows)
+    for ranked, keys in zip(ranking.each(groups), groups.keys, strict=True):
         low, middle, high = map(plain, ranked.quartiles)
         cells.append(
             {

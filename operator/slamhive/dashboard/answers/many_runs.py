@@ -6,12 +6,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode
 
+from slamhive.analysis.grouping import late_notes, varies, varying
 from slamhive.analysis.selection import order_rows
 from slamhive.dashboard.answering.encoding import Body, Table
 from slamhive.dashboard.answers import paging
 from slamhive.dashboard.answers.columns import heading, profile
 from slamhive.dashboard.problems import TooLarge
 from slamhive.tables.queries import columns, select, split_names
+from slamhive.tables.words import disproportion_notes, meanings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -69,6 +71,8 @@ def runs_page(
     shown = columns(snapshot.frame, wanted, "columns", DEFAULT_COLUMNS)
     question = _question(pairs)
     total = len(frame)
+    notes = [*meanings(frame, shown), *left_out, *late_notes(frame, shown), *disproportion_notes(frame)]
+    same = [name for name in shown if total > 1 and not varies(frame, name)]
     if after is not None:
         place = paging.read_token(after, question, paging.token_length(order))
         frame = frame.select(paging.rows_behind(frame, order, place))
@@ -80,7 +84,7 @@ def runs_page(
         token = paging.token(question, paging.last_values(frame, len(frame) - 1, order))
         kept = [(name, value) for name, value in pairs if name != "after"]
         link = f"{path}?{urlencode([*kept, ('after', token)])}"
-    return _table(snapshot, frame, shown, {"total": total, "next": link, "notes": left_out}, link)
+    return _table(snapshot, frame, shown, {"total": total, "next": link, "same": same, "notes": notes}, link)
 
 
 def whole_table(snapshot: Snapshot, pairs: Pairs, *, sort: str | None, wanted: str | None) -> Table:
@@ -120,7 +124,7 @@ def _table(
         {
             "revision": snapshot.revision,
             **more,
-            "columns": [heading(frame, name) for name in shown],
+            "columns": [heading(frame, name, shown) for name in shown],
             "items": frame.records(shown),
         },
         content,
@@ -152,5 +156,11 @@ def columns_list(snapshot: Snapshot, pairs: Pairs, wanted: str | None) -> Body:
         key: [item.get(key) for item in items]
         for key in ("name", "kind", "title", "unit", "group", "count", "distinct", "min", "max")
     }
-    content = {"revision": snapshot.revision, "rows": len(frame), "items": items, "notes": left_out}
+    content = {
+        "revision": snapshot.revision,
+        "rows": len(frame),
+        "items": items,
+        "varied": varying(frame) if wanted is None else [],
+        "notes": left_out,
+    }
     return Body(content, lambda: flat)

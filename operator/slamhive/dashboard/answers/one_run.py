@@ -8,11 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from slamhive.analysis.grouping import SUBJECT, varying, where_equal
+from slamhive.analysis.measuring import outdated_note
+from slamhive.analysis.metrics import declared_units, label_of
 from slamhive.contract.environment import SETTINGS_FOLDER
 from slamhive.dashboard.answering.encoding import Body
+from slamhive.dashboard.answers.columns import group_of, heading
 from slamhive.dashboard.problems import BadRequest, Missing
 from slamhive.model.base import API_VERSION
 from slamhive.model.errors import suggestion
+from slamhive.model.sensors import SensorMode
 from slamhive.model.templates import FILES_LIMIT
 from slamhive.runfiles.clocks import CONFIGURATIONS, LATENCIES, clock_of, configuration_of, sensor_times
 from slamhive.runfiles.errors import FileAwayError, FileMissingError, FileTooLargeError
@@ -24,13 +29,15 @@ from slamhive.runfiles.trajectories import (
     read_poses,
     usage_columns,
 )
+from slamhive.tables.timeliness import causal_result, late_note
+from slamhive.tables.words import disproportion
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from slamhive.archive.records import CatalogEntry
     from slamhive.dashboard.sources.archived import Snapshot, Source
-    from slamhive.model.results import Result, RunRecord
+    from slamhive.model.results import Result, RunRecord, Usage
     from slamhive.runfiles.artifacts import ArtifactFolder
     from slamhive.runfiles.ground_truth import DatasetTruth
 
@@ -119,6 +126,12 @@ def detail(snapshot: Snapshot, found: FoundRun) -> Body:
     record = found.record
     spec = record.spec
     plain = record.as_json()
+    configuration = {
+        "algorithm": (spec.get("algorithmRef") or {}).get("name"),
+        "dataset": (spec.get("datasetRef") or {}).get("name"),
+        **{name: spec.get(name) for name in ("sensors", "repetition", "seed")},
+        **{name: spec.get(name) or {} for name in ("parameters", "input", "resources")},
+    }
     content: dict[str, Any] = {
         "revision": snapshot.revision,
         "uid": record.uid,
@@ -128,18 +141,22 @@ def detail(snapshot: Snapshot, found: FoundRun) -> Body:
         "index": record.index,
         **{name: plain.get(name) for name in ("phase", "reason", "message", "attempts")},
         **{name: plain.get(name) for name in ("created", "started", "finished")},
-        "configuration": {
-            "algorithm": (spec.get("algorithmRef") or {}).get("name"),
-            "dataset": (spec.get("datasetRef") or {}).get("name"),
-            **{name: spec.get(name) for name in ("sensors", "repetition", "seed")},
-            **{name: spec.get(name) or {} for name in ("parameters", "input", "resources")},
-        },
+        "configuration": configuration,
+        "varied": _varied(snapshot, configuration),
+        "cameras": _has_cameras(spec.get("sensors")),
+        "note": record.note,
+        "tags": record.tags,
         "attributes": record.attributes,
         "labels": record.labels,
         "metrics": record.metrics,
+        "labelled": _labelled(snapshot),
         **{name: plain.get(name) for name in _PARTS},
         "provenance": plain.get("provenance") or {},
-        "results": [_result_json(result) for result in record.results],
+        "results": [_result_json(causal_result(record, result)) for result in record.results],
+        "notes": [
+            *filter(None, [late_note(record)]),
+            *(note for result in record.results for note in _notes(result)),
+        ],
         "logTail": record.log_tail,
         "manifest": manifest(record),
         # Where object storage does not answer, each of them says so.
@@ -152,12 +169,41 @@ def detail(snapshot: Snapshot, found: FoundRun) -> Body:
     return Body(content)
 
 
+def _varied(snapshot: Snapshot, configuration: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the headings of the settings by which the algorithm's runs on the dataset differ."""
+    alike = snapshot.frame
+    for name in SUBJECT:
+        alike = alike.select(where_equal(alike, name, configuration[name]))
+    return [heading(snapshot.frame, name) for name in varying(alike)]
+
+
+def _labelled(snapshot: Snapshot) -> dict[str, str]:
+    """Return the names of columns of costs and frames; sizes are written with a unit of their own."""
+    columns = [name for name in snapshot.frame.stored if name.startswith(("usage.", "frames.", "metrics."))]
+    with declared_units(snapshot.frame.units):
+        told = {name: label_of(name, "" if name.endswith("Bytes") else None) for name in columns}
+    changed = {name: text for name, text in told.items() if text != name}
+    return {name: text.removeprefix(f"{group_of(name)}.") for name, text in changed.items()}
+
+
+def _has_cameras(sensors: str | None) -> bool:
+    """Tell whether a run was given images: not by what is written of a mode that isn't known."""
+    return sensors in {str(mode) for mode in SensorMode if mode.has_cameras}
+
+
 def _result_json(result: Result) -> dict[str, Any]:
     return result.values | {
         "evaluation": result.evaluation,
         "outcome": result.outcome.value,
         "coverage": result.coverage,
     }
+
+
+def _notes(result: Result) -> list[str]:
+    """Return the sentences on a result, with its evaluation before each."""
+    said = result.values.get("notes")
+    notes = [outdated_note(result.values), disproportion(result), *(said if isinstance(said, list) else ())]
+    return [f"{result.evaluation}: {note}" for note in notes if note]
 
 
 def manifest(record: RunRecord) -> str:
@@ -285,7 +331,20 @@ def usage(snapshot: Snapshot, found: FoundRun, most: int) -> Body:
     configuration = configuration_of(place)
     shown["stamp"] = sensor_times(shown["t"], found.record, place, configuration)
     clock = clock_of(configuration) if shown["stamp"] is not None else None
+    spent = found.record.usage
+    shown["readerShare"] = spent and spent.reader_share
+    shown["notes"] = _reader_notes(spent)
     names = ("t", "stamp", "cpu", "memory", "anonymous")
     columns = {key: shown[key] for key in names if shown[key] is not None}
     answer = {"revision": snapshot.revision, "clock": clock and clock.as_json(), **shown}
     return Body(answer, lambda: columns)
+
+
+def _reader_notes(spent: Usage | None) -> list[str]:
+    """Say that CPU over time, of which nothing can be taken out, holds the reading of the recording."""
+    if spent is None or spent.reader_cpu_seconds is None:
+        return ["CPU holds the reading of the recording, or may: its part isn't known"]
+    if not spent.reader_share:
+        return []
+    share = f"{spent.reader_share:.0%} of all CPU seconds"
+    return [f"CPU over time holds the reading of the recording, {share}; the run's figures are without it"]

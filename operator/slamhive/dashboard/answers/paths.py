@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.analysis.derived import PACE
 from slamhive.analysis.grouping import SUBJECT, Groups, varying, where_equal
 from slamhive.dashboard.answering.encoding import Body
 from slamhive.dashboard.answers.common_support import Meant
@@ -29,6 +30,7 @@ MOST_PATHS = 60
 """Runs whose paths are drawn in one picture: each takes some 20 ms, and more can't be told apart."""
 
 _FACETS = ("dataset", "evaluation", "alignment")
+_SAME = 1e-3  # m
 _SHOWN = ("uid", "run", "status", "coverage", "ate.rmse")
 
 
@@ -51,7 +53,7 @@ def meant(snapshot: Snapshot, pairs: Pairs, of: str | None) -> Meant:
     if len(frame) > MOST_PATHS:
         notes.append(f"of {len(frame):,} runs the first {MOST_PATHS} are drawn: choose fewer")
         frame = frame.select(np.arange(MOST_PATHS))
-    named = ("algorithm", "sensors", *_settings(frame), "repetition")
+    named = ("algorithm", "sensors", PACE, *_settings(frame), "repetition")
     told = [name for name in named if _differs(frame, name)]
     groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for row in frame.records(list(dict.fromkeys([*_FACETS, *_SHOWN, *SUBJECT, *told]))):
@@ -79,7 +81,7 @@ def _alike(frame: Frame, uid: str) -> np.ndarray[Any, np.dtype[np.bool_]]:
         codes, _ = frame.column(name).factorized()
         same &= codes == codes[itself.argmax()]
     near = frame.select(same)
-    keys = [*_settings(near), "algorithm.version", "dataset.version"]
+    keys = [PACE, *_settings(near), "algorithm.version", "dataset.version"]
     groups = Groups(near, keys)
     mine = groups.of_row[where_equal(near, "uid", uid).argmax()]
     same[same] = groups.of_row == mine
@@ -123,6 +125,8 @@ def _group(
     reference: dict[str, Any] | None = None
     runs = []
     notes: dict[str, None] = {}
+    beside: dict[str, None] = {}
+    first = None
     for row in rows:
         run: dict[str, Any] = {
             **{name: row[name] for name in ("uid", "run", "status", "coverage")},
@@ -137,15 +141,30 @@ def _group(
             run["problem"] = str(error)
         else:
             run["track"] = found["estimate"]
-            reference = reference or found["reference"]
+            if reference is None:
+                reference, first = found["reference"], row["algorithm"]
+            if apart(reference, found["reference"]):
+                beside |= {str(row["algorithm"]): None}
             notes |= dict.fromkeys(found["notes"])
         runs.append(run)
+    if beside:
+        whose = f"{', '.join(beside)} are of another frame than those of {first}, as of the IMU and the LiDAR"
+        notes[f"poses of {whose}: the ground truth drawn is that of {first}"] = None
     return {
         "facets": {name: rows[0][name] for name in _FACETS},
         "reference": reference,
         "runs": runs,
         "notes": list(notes),
     }
+
+
+def apart(one: dict[str, Any] | None, other: dict[str, Any] | None) -> bool:
+    """Tell whether two references are a millimetre or more apart at the first time that both have."""
+    if one is None or other is None:
+        return False
+    _, first, second = np.intersect1d(one["t"], other["t"], return_indices=True)
+    steps = [one[axis][first[:1]] - other[axis][second[:1]] for axis in "xyz"]
+    return bool(np.linalg.norm(steps) > _SAME)
 
 
 def _drawn(

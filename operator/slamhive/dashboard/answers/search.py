@@ -27,7 +27,7 @@ RESERVED = ("words", "limit", "format")
 MOST_WORDS = 10
 MOST_FOUND = 50
 _MOST_SETTINGS = 12
-_NAMED = ("uid", "run", "name", "sweep", "status", "repetition", *SUBJECT)
+_NAMED = ("uid", "run", "name", "note", "tags", "sweep", "status", "repetition", *SUBJECT)
 _SETTINGS = (*CONFIGURATION, "label.")
 _WORDS = {"true": 1.0, "false": 0.0}
 
@@ -35,8 +35,8 @@ _WORDS = {"true": 1.0, "false": 0.0}
 def search(snapshot: Snapshot, pairs: Pairs, words: str, limit: int) -> Body:
     """Return the runs that all words fit, with the settings by which they differ.
 
-    A word fits a run whose names or settings hold it in any spelling, or one of whose numbers it is;
-    ``nFeatures=1000`` fits that setting alone.
+    A word fits a run whose names, note, tags or settings hold it in any spelling, or one of whose numbers it
+    is; ``nFeatures=1000`` fits that setting alone.
 
     Args:
         snapshot: the data.

@@ -22,6 +22,7 @@ from slamhive.dashboard.answers.columns import (
 from slamhive.tables.published import differences_of, load_published, published_on
 from slamhive.tables.queries import columns, number_column, outcomes, select
 from slamhive.tables.text import as_columns, flat_summary
+from slamhive.tables.verdicts import RULE
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -128,6 +129,7 @@ def _spot_json(spot: Spot) -> dict[str, Any]:
         "front": spot.front,
         "runs": spot.runs,
         "n": spot.n,
+        "copies": spot.copies,
         "failures": spot.failures,
         "coverage": plain(spot.coverage),
     }
@@ -159,7 +161,8 @@ def _subject_json(subject: Influences) -> dict[str, Any]:
         "keys": subject.keys,
         "runs": subject.runs,
         "n": subject.n,
-        "failed": subject.runs - subject.n,
+        "copies": subject.copies,
+        "failed": subject.runs - subject.n - subject.copies,
         "parameters": [
             {
                 "name": one.name,
@@ -211,6 +214,7 @@ def _repetitions_json(one: Repetitions, metric: str) -> dict[str, Any]:
         "keys": one.cell.keys,
         "runs": one.cell.runs,
         "n": one.cell.n,
+        "copies": one.cell.copies,
         "failed": sum(one.cell.failures.values()),
         "failures": one.cell.failures,
         "coverage": summary_json(one.cell.coverage),
@@ -266,10 +270,12 @@ def published(snapshot: Snapshot, pairs: Pairs, home: Path | None) -> Body:
             "notes": one.row.notes,
             "values": one.values,
             "differences": list(one.differences),
+            "verdicts": {name: judged.sentence for name, judged in one.verdicts.items()},
+            "isDrawn": one.is_drawn,
         }
         for one in found
     ]
     return Body(
-        {"revision": snapshot.revision, "items": items, "why": differences_of(found)},
+        {"revision": snapshot.revision, "items": items, "why": differences_of(found), "rule": RULE},
         lambda: as_columns([one.flat() for one in found]),
     )

@@ -86,7 +86,7 @@ def timeline(
     given: tuple[float | None, float | None],
     clock: Callable[[], float] = time.time,
 ) -> Body:
-    """Return the times of runs' preparation and work, by node and core.
+    """Return the times of runs' preparation and work, by node and core; superseded runs took theirs too.
 
     Args:
         snapshot: the data.
@@ -100,8 +100,13 @@ def timeline(
     low, high = given
     if low is not None and high is not None and not low < high:
         raise BadRequest("to: expected a time after that of from, in seconds since 1970", "to")
-    chosen = select(_with_what_goes_on(snapshot), pairs, RESERVED, each=True)
+    chosen = select(_with_what_goes_on(snapshot), pairs, RESERVED, each=True, always=True)
     notes = list(chosen.notes)
+    if earlier := chosen.frame.count_runs(chosen.frame.column("superseded").present):
+        runs = (
+            "1 run of an earlier version is" if earlier == 1 else f"{earlier:,} runs of earlier versions are"
+        )
+        notes.append(f"{runs} among them: {'it' if earlier == 1 else 'they'} took time too")
     spans = _spans(chosen.frame.select(first_rows(chosen.frame)), clock, notes)
     whole = _extent(spans)
     if low is not None or high is not None:

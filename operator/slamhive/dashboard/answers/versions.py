@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from slamhive.analysis.versions import before_and_after
 from slamhive.dashboard.answering.encoding import Body, plain
 from slamhive.dashboard.answers.columns import heading
-from slamhive.tables.queries import SUPERSEDED, number_column, outcomes, select
+from slamhive.tables.queries import number_column, outcomes, select
 from slamhive.tables.text import as_columns
 
 if TYPE_CHECKING:
@@ -33,8 +33,7 @@ def changed(snapshot: Snapshot, pairs: Pairs, metric: str, which: str) -> Body:
         which: tracked or all.
     """
     number_column(snapshot.frame, metric, "metric")
-    asked = [*((name, value) for name, value in pairs if name != SUPERSEDED), (SUPERSEDED, "1")]
-    chosen = select(snapshot.frame, asked, RESERVED)
+    chosen = select(snapshot.frame, pairs, RESERVED, always=True)
     found, notes = before_and_after(chosen.frame, metric, outcomes(which))
     if any(len(change.settings) > MAX_SETTINGS for change in found):
         notes.append(f"of each change the first {MAX_SETTINGS} settings are shown; the CSV has all")

@@ -12,6 +12,7 @@ from starlette.responses import StreamingResponse
 
 from slamhive.archive.records import CatalogEntry
 from slamhive.dashboard.answers import catalog, one_run, recordings
+from slamhive.dashboard.answers import sweeps as sweeps_answer
 from slamhive.dashboard.server.costs import costs_little
 from slamhive.dashboard.server.routes import FORMATS
 from slamhive.dashboard.server.service import Service, client_of, service_of
@@ -40,7 +41,7 @@ async def index(request: Request) -> Response:
 async def sweeps(request: Request) -> Response:
     """Return each sweep with its progress."""
     service = service_of(request)
-    return await service.answer_with(request, service.asked_for, catalog.sweeps, _little)
+    return await service.answer_with(request, service.asked_for, sweeps_answer.sweeps, _little)
 
 
 @routes.get("/sweeps/{name}", summary="One sweep with its spec")
@@ -56,7 +57,7 @@ async def sweep(
     return await service.answer_with(
         request,
         service.asked_for,
-        lambda data, stored: catalog.sweep(data, stored, name, namespace),
+        lambda data, stored: sweeps_answer.sweep(data, stored, name, namespace),
     )
 
 

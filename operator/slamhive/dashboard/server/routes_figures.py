@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request, Response
 
 from slamhive.analysis.boards import Window
-from slamhive.dashboard.answers import common_support, distributions
+from slamhive.dashboard.answers import distributions
 from slamhive.dashboard.answers import images as images_answer
 from slamhive.dashboard.answers import paths as paths_answer
 from slamhive.dashboard.answers import search as search_answer
@@ -15,7 +15,7 @@ from slamhive.dashboard.answers import timeline as timeline_answer
 from slamhive.dashboard.server.costs import costs_little
 from slamhive.dashboard.server.routes import Filters, Names, Which
 from slamhive.dashboard.server.routes_studies import ERROR, First, Metric
-from slamhive.dashboard.server.service import client_of, service_of
+from slamhive.dashboard.server.service import service_of
 from slamhive.dashboard.sources.archived import Snapshot
 
 Moment = Annotated[float | None, Query(ge=0, le=1e11, allow_inf_nan=False)]
@@ -92,15 +92,10 @@ async def paths(
     points: Annotated[int, Query(ge=3, le=1000, description="Poses of each path at most.")] = 400,
 ) -> Response:
     """Runs without a path stay in the list, with the reason."""
-    service = service_of(request)
-    client = client_of(request)
-
-    async def material(data: Snapshot) -> common_support.ResultMaterial:
-        meant = await service.workers.compute(lambda: paths_answer.meant(data, filters, of), client)
-        return await service.run(lambda: common_support.material(service.source, meant))
-
-    return await service.answer_with(
-        request, material, lambda data, given: paths_answer.paths(data, given, points)
+    return await service_of(request).answer_of_files(
+        request,
+        lambda data: paths_answer.meant(data, filters, of),
+        lambda data, given: paths_answer.paths(data, given, points),
     )
 
 

@@ -8,11 +8,10 @@ from fastapi import APIRouter, Query, Request, Response
 
 from slamhive.analysis.boards import Window
 from slamhive.analysis.comparing import MAX_COMPETITORS
-from slamhive.dashboard.answers import common_support, studies
+from slamhive.dashboard.answers import common_support, studies, truth_suspects
 from slamhive.dashboard.answers import versions as versions_answer
 from slamhive.dashboard.server.routes import Filters, FormatName, Names, Where, Which, pairs
-from slamhive.dashboard.server.service import client_of, service_of
-from slamhive.dashboard.sources.archived import Snapshot
+from slamhive.dashboard.server.service import service_of
 
 Metric = Annotated[str, Query(max_length=10_000, description="A column of numbers.")]
 ERROR = "ate.rmse"
@@ -116,16 +115,9 @@ async def common(
     outcomes: Which = "all",
 ) -> Response:
     """Errors over the runs' own and over their common support, from their trajectories."""
-    service = service_of(request)
-    client = client_of(request)
-
-    async def material(data: Snapshot) -> common_support.ResultMaterial:
-        meant = await service.workers.compute(
-            lambda: common_support.meant(data, filters, by, outcomes), client
-        )
-        return await service.run(lambda: common_support.material(service.source, meant))
-
-    return await service.answer_with(request, material, common_support.common)
+    return await service_of(request).answer_of_files(
+        request, lambda data: common_support.meant(data, filters, by, outcomes), common_support.common
+    )
 
 
 @routes.get("/suspects", summary="Scales that are off by the same factor in all runs")
@@ -135,6 +127,17 @@ async def suspects(
 ) -> Response:
     """Such a scale is the calibration's, not the algorithm's."""
     return await service_of(request).answer(request, lambda data: studies.suspicions(data, filters))
+
+
+@routes.get("/suspects/truth", summary="Stretches of ground truth that runs contradict together")
+async def suspects_of_truth(
+    request: Request,
+    filters: Filters,
+) -> Response:
+    """Stretches in which three algorithms or more agree with each other and not with the truth."""
+    return await service_of(request).answer_of_files(
+        request, lambda data: truth_suspects.meant(data, filters), truth_suspects.suspicious_truths
+    )
 
 
 @routes.get("/published", summary="Published numbers on the datasets of runs")

@@ -30,6 +30,7 @@ from slamhive.dashboard.answering.encoding import (
 )
 from slamhive.dashboard.answering.totals import StoredSweeps, SweepTotals
 from slamhive.dashboard.answering.workers import AnswerLimits, AnswerWorkers
+from slamhive.dashboard.answers import common_support
 from slamhive.dashboard.problems import Problem, SourceUnavailable, TooCostly
 from slamhive.dashboard.server.security import HEAD
 
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
     from starlette.types import Send
 
+    from slamhive.dashboard.answers.common_support import Meant, ResultMaterial
     from slamhive.dashboard.sources.archived import Snapshot, Source
 
 _log = logging.getLogger("slamhive.dashboard")
@@ -164,6 +166,27 @@ class Service:
             return None
 
         return await self.answer_with(request, nothing, lambda data, _: compute(data), little)
+
+    async def answer_of_files(
+        self,
+        request: Request,
+        meant: Callable[[Snapshot], Meant],
+        compute: Callable[[Snapshot, ResultMaterial], Body],
+    ) -> Response:
+        """Return an answer computed of the data and of the files of some runs.
+
+        Args:
+            request: what is asked.
+            meant: chooses the runs.
+            compute: makes the answer.
+        """
+        client = client_of(request)
+
+        async def material(snapshot: Snapshot) -> ResultMaterial:
+            chosen = await self.workers.compute(lambda: meant(snapshot), client)
+            return await self.run(lambda: common_support.material(self.source, chosen))
+
+        return await self.answer_with(request, material, compute)
 
     async def answer_with(
         self,

@@ -11,11 +11,13 @@ import { html, render, useEffect, useState } from './core/ui.js';
 const PAGES = {
   '': () => import('./pages/overview.js'),
   sweeps: () => import('./pages/sweeps.js'),
+  'sweeps/': () => import('./pages/sweep.js'),
   explore: () => import('./pages/explore.js'),
   leaderboard: () => import('./pages/leaderboard.js'),
   studies: () => import('./pages/studies.js'),
   table: () => import('./pages/table.js'),
   runs: () => import('./pages/runs.js'),
+  'runs/': () => import('./pages/run.js'),
   compare: () => import('./pages/compare.js'),
   timeline: () => import('./pages/timeline.js'),
   paths: () => import('./pages/paths.js'),
@@ -130,7 +132,8 @@ function App() {
     [here.path[0]],
   );
   const embedded = here.query.get('embed') === '1';
-  const name = here.path[0] ?? '';
+  const [name = '', one] = here.path;
+  const page = one !== undefined && Object.hasOwn(PAGES, `${name}/`) ? `${name}/` : name;
   return html`
     <${Address.Provider} value=${here}>
       <${Live.Provider} value=${live}>
@@ -169,7 +172,7 @@ function App() {
         }
         <main id="main" tabindex="-1">
           <${Notes} notes=${live.problems} />
-          <${Page} key=${name} name=${name} />
+          <${Page} key=${page} name=${page} />
         </main>
       </${Live.Provider}>
     </${Address.Provider}>

@@ -21,12 +21,13 @@ _STEADY_SECONDS = 1.0
 _CAUSE_SECONDS = 0.6
 _BOOT_SECONDS = 1e8
 _UNIX_SECONDS = 1e9
-_KNOWN = {
+KNOWN = {
     37.0: "TAI − UTC",
     18.0: "GPS − UTC",
     19.0: "TAI − GPS",
     315_964_782.0: "the epoch of GPS, 1980, instead of 1970",
 }
+"""Seconds between clocks that are in use, and what they are."""
 
 
 class _Clock(NamedTuple):
@@ -54,7 +55,7 @@ def epochs(examined: Examined) -> Iterable[Finding]:
         apart = abs(clock.first - right.first) > abs(clock.recorded - right.recorded)
         if abs(ahead) < _EPOCH_SECONDS or not apart:
             continue
-        exact, cause = _cause(ahead, clock, right)
+        exact, cause = cause_of(ahead, clock.first, right.first)
         side = "ahead of" if ahead > 0 else "behind"
         both = max(0.0, min(clock.last, right.last) - max(clock.first, right.first))
         yield Finding(
@@ -85,14 +86,20 @@ def _clocks(examined: Examined) -> list[_Clock]:
     return clocks
 
 
-def _cause(ahead: float, clock: _Clock, right: _Clock) -> tuple[float, str]:
-    """Return the difference of two clocks, exact where its cause is known, s, and the cause in words."""
-    for seconds, cause in _KNOWN.items():
+def cause_of(ahead: float, first: float, right: float) -> tuple[float, str]:
+    """Return the difference of two clocks, exact where its cause is known, s, and the cause in words.
+
+    Args:
+        ahead: The difference as found, s.
+        first: The first time of the one that is wrong, s.
+        right: That of the other, s.
+    """
+    for seconds, cause in KNOWN.items():
         if abs(abs(ahead) - seconds) < _CAUSE_SECONDS:
             return float(np.copysign(seconds, ahead)), f", which is {cause}"
     hours = round(ahead / 1800.0) / 2.0
     if 0 < abs(hours) <= 14 and abs(ahead - 3600.0 * hours) < _CAUSE_SECONDS:
         return 3600.0 * hours, f", which is {abs(hours):g} h, a time zone"
-    if abs(clock.first) < _BOOT_SECONDS and right.first > _UNIX_SECONDS:
+    if abs(first) < _BOOT_SECONDS and right > _UNIX_SECONDS:
         return round(ahead, 3), ": they count from the sensor's start"
     return round(ahead, 3), ""

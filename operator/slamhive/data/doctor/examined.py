@@ -22,9 +22,11 @@ class Examined:
         recording: Its open recording.
         watched: The times of its messages, and the watchers.
         truth: Its ground truth; None where it has no poses, or can't be read.
+        is_sample: Whether no more than some messages of each sensor have passed.
     """
 
     entry: DatasetEntry
     recording: Recording
     watched: WatchedRecording
     truth: Trajectory | None
+    is_sample: bool = False

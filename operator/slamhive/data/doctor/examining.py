@@ -6,10 +6,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from slamhive.data.doctor import clocks
+from slamhive.data.doctor.bodies import judge_bodies
 from slamhive.data.doctor.cameras import judge_cameras
 from slamhive.data.doctor.examined import Examined
 from slamhive.data.doctor.files import judge_files, judge_static_transforms
+from slamhive.data.doctor.fixes import Fixes
+from slamhive.data.doctor.imus import Samples, judge_imus
+from slamhive.data.doctor.offsets import judge_turning
 from slamhive.data.doctor.pictures import Pictures
+from slamhive.data.doctor.points import ScanPoints
+from slamhive.data.doctor.pointtimes import ScanTimes
+from slamhive.data.doctor.sampling import SAMPLED, of_sample, sampled
+from slamhive.data.doctor.stamps import judge_stamps
+from slamhive.data.doctor.truthrows import judge_truth_rows
+from slamhive.data.doctor.truths import judge_truth
 from slamhive.data.doctor.watching import WatchedSensor, watch
 from slamhive.model.sensors import SensorType
 
@@ -26,6 +36,9 @@ if TYPE_CHECKING:
 WATCHERS: Mapping[SensorType, tuple[Callable[[WatchedSensor], MessageWatcher], ...]] = {
     SensorType.CAMERA: (Pictures,),
     SensorType.DEPTH_CAMERA: (Pictures,),
+    SensorType.IMU: (Samples,),
+    SensorType.LIDAR: (ScanPoints, ScanTimes),
+    SensorType.GNSS: (Fixes,),
 }
 """Watchers by the kind of sensor whose messages they take."""
 
@@ -34,8 +47,17 @@ BETWEEN: tuple[Callable[[Examined], Iterable[Finding]], ...] = (
     judge_static_transforms,
     clocks.epochs,
     judge_cameras,
+    judge_truth,
+    judge_stamps,
+    judge_imus,
+    judge_bodies,
+    judge_truth_rows,
+    judge_turning,
 )
 """Judgements between sensors, between them and the truth, and of the recording's files."""
+
+OF_SAMPLES = frozenset({judge_files, judge_static_transforms, clocks.epochs, judge_cameras, judge_imus})
+"""Those of them that a sample is enough for."""
 
 
 def examine(
@@ -44,6 +66,8 @@ def examine(
     sensors: Mapping[str, Sensor],
     truth: Trajectory | None,
     progress: Callable[[float], None] | None = None,
+    *,
+    quick: bool = False,
 ) -> tuple[WatchedRecording, list[Finding]]:
     """Read all messages of a dataset's sensors and return their times and what was found.
 
@@ -53,22 +77,26 @@ def examine(
         sensors: Its sensors whose topics are there.
         truth: Its ground truth, where it has poses.
         progress: Called with the share read, 0 to 1.
+        quick: Whether a sample of the messages is read, some of each sensor, in seconds.
 
     Raises:
         DataError: The recording is damaged.
     """
     spec = entry.dataset.spec
     watched_sensors = {
-        name: WatchedSensor(name, sensor, topic.message_type, topic.count, spec)
+        name: WatchedSensor(name, sensor, topic.message_type, count, spec)
         for name, sensor in sensors.items()
         for topic in (recording.topics[sensor.topic],)
+        for count in (min(topic.count, SAMPLED) if quick else topic.count,)
     }
     watchers = {
         name: [make(of) for make in WATCHERS.get(of.sensor.type, ())] for name, of in watched_sensors.items()
     }
     topics = {name: sensor.topic for name, sensor in sensors.items()}
-    watched = watch(recording, watchers, topics, progress)
+    messages = sampled(recording, sensors) if quick else None
+    watched = watch(recording, watchers, topics, progress, messages)
     found = [finding for ones in watchers.values() for one in ones for finding in one.findings()]
-    examined = Examined(entry, recording, watched, truth)
-    found += [finding for judge in BETWEEN for finding in judge(examined)]
-    return watched, found
+    examined = Examined(entry, recording, watched, truth, is_sample=quick)
+    judges = [judge for judge in BETWEEN if not quick or judge in OF_SAMPLES]
+    found += [finding for judge in judges for finding in judge(examined)]
+    return watched, [*of_sample(found)] if quick else found

@@ -1,23 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Findings: what is wrong with a recording, under a stable code."""
+"""Findings: what is wrong with a recording, under a stable code, with the line that repairs it."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from slamhive.model.base import Choice
+from slamhive.model.variant import OpenFinding, Severity
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 
-class Severity(Choice):
-    """Weight of a finding: errors keep runs from working, warnings change figures, notes explain."""
+__all__ = ["BY_NUMBER", "Finding", "Severity", "sensor_repair"]
 
-    ERROR = "error"
-    WARNING = "warning"
-    NOTE = "note"
+BY_NUMBER = ("drop", "dropLeading")
+"""Repairs that count messages."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +32,7 @@ class Finding:
         first: Sensor time of the first of them, s.
         value: What was measured, in ``unit``.
         unit: Unit of the value.
-        repair: The change of the sensor's messages that would undo it, for a preparation that repairs; empty
-            where none does.
+        repair: What to add to the Dataset's spec; empty where no line of the manifest helps.
     """
 
     code: str
@@ -47,6 +45,13 @@ class Finding:
     unit: str | None = None
     repair: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def repair_line(self) -> str | None:
+        """Return the repair as one line of YAML, to be put into the spec; None where there is none."""
+        if not self.repair:
+            return None
+        return ", ".join(f"{key}: {json.dumps(value)}" for key, value in self.repair.items())
+
     def as_json(self) -> dict[str, Any]:
         """Return the finding as plain values."""
         return {
@@ -58,9 +63,21 @@ class Finding:
             "value": self.value,
             "unit": self.unit,
             "message": self.message,
+            "repair": self.repair_line,
         }
+
+    @property
+    def as_known(self) -> OpenFinding:
+        """Return the finding as runs need it."""
+        return OpenFinding(
+            code=self.code,
+            severity=self.severity,
+            sensor=self.sensor,
+            message=self.message,
+            repair=self.repair_line,
+        )
 
 
 def sensor_repair(sensor: str, **repair: Any) -> dict[str, Any]:
-    """Return the repair of a sensor's messages, for `Finding.repair`."""
-    return {"repair": {"sensors": {sensor: repair}}}
+    """Return the repair of a sensor's messages, for `Finding.repair`; keys as in `slamhive.model.repair`."""
+    return {"repair": {"sensors": {str(sensor): repair}}}

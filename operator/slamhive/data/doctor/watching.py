@@ -61,7 +61,7 @@ class WatchedSensor:
         name: Its name.
         sensor: The sensor as declared.
         message_type: Type of its messages.
-        messages: Their number, as the index states it.
+        messages: Their number, as the index states it; of a sample, how many that has at most.
         spec: The dataset's spec, for what a judgement needs of other sensors.
     """
 
@@ -120,6 +120,7 @@ def watch(
     watchers: Mapping[str, Sequence[MessageWatcher]],
     topics: Mapping[str, str],
     progress: Callable[[float], None] | None = None,
+    messages: Iterable[tuple[Connection, int, bytes]] | None = None,
 ) -> WatchedRecording:
     """Read all messages of sensors once, and hand each to the watchers of its sensors.
 
@@ -128,6 +129,7 @@ def watch(
         watchers: By sensor.
         topics: The topic of each sensor.
         progress: Called with the share of the messages that are read, 0 to 1, now and then.
+        messages: Those that pass; None for all.
 
     Raises:
         DataError: The recording is damaged.
@@ -149,4 +151,4 @@ def watch(
                 living[connection.topic].remove(watcher)
                 broken.append(f"{watcher.of.where}: message {index + 1}: {error}")
 
-    return WatchedRecording(recording.scan(names, progress, see), watchers, broken)
+    return WatchedRecording(recording.scan(names, progress, see, messages), watchers, broken)

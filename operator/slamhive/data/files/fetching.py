@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
-from slamhive.data.files.https import TIMEOUT_SECONDS, HttpsResponse, Interrupted, open_url
+from slamhive.data.files.https import TIMEOUT_SECONDS, HttpsResponse, Interrupted, OfflineError, open_url
 from slamhive.data.files.partial import DiskFault, Partial, disk_words
 from slamhive.model.canonical import digest
 from slamhive.model.errors import DataError, SlamHiveError, SystemFault
@@ -228,10 +228,12 @@ def fetch_span(  # noqa: PLR0917 - what, from where, to where, which part
 
     Raises:
         DataError: The file isn't what was said.
+        OfflineError: None of its addresses is reached.
         SystemFault: No address sends it.
     """
     problems: list[str] = []
     began, most = time.monotonic(), partial.held
+    began_with, offline = most, 0
     for url in urls:
         tries = list(PAUSES)
         while True:
@@ -245,8 +247,11 @@ def fetch_span(  # noqa: PLR0917 - what, from where, to where, which part
                     tries, most = list(PAUSES), partial.held
                 if span[1] is None and not partial.spans:
                     partial.forget()  # a size that was told is of a file of which nothing came
-                if not isinstance(error, Interrupted) or not tries:
+                # Without a network at the begin none comes; one that goes meanwhile may come back.
+                is_away = isinstance(error, OfflineError) and partial.held > began_with
+                if not (is_away or isinstance(error, Interrupted)) or not tries:
                     problems.append(f"{url}: {error}")
+                    offline += isinstance(error, OfflineError)
                     break
                 # A minute for each MiB, and ten more, are enough for any line.
                 minutes = (time.monotonic() - began) / 60
@@ -258,7 +263,8 @@ def fetch_span(  # noqa: PLR0917 - what, from where, to where, which part
                 time.sleep(tries.pop(0))
             else:
                 return
-    raise SystemFault(f"{wanted.what}: {'; '.join(problems)}")
+    kind = OfflineError if offline == len(problems) else SystemFault
+    raise kind(f"{wanted.what}: {'; '.join(problems)}")
 
 
 class _Running:

@@ -8,8 +8,10 @@ system's authorities, or those of ``$SSL_CERT_FILE``, and those of `CERTIFICATES
 
 from __future__ import annotations
 
+import errno
 import os
 import re
+import socket
 import ssl
 import urllib.error
 import urllib.request
@@ -37,6 +39,12 @@ class Interrupted(SystemFault):
     """A server that is away, overloaded, or ends in the middle: the same address is worth another try."""
 
     reason = "Interrupted"
+
+
+class OfflineError(SystemFault):
+    """A server that nothing leads to: there is no network, or no server of that name."""
+
+    reason = "Offline"
 
 
 @dataclass(frozen=True)
@@ -131,6 +139,7 @@ def open_url(url: str, start: int = 0, end: int | None = None, condition: str | 
         DataError: The address leads away from https, or to a page instead of a file.
         InputError: The file of `CERTIFICATES` can't be read.
         Interrupted: Another try may succeed.
+        OfflineError: No server is reached: there is no network, or no such server.
         SystemFault: The server has no such file, or refuses it.
     """
     answer = _open(url, start, end, condition)
@@ -202,7 +211,15 @@ def _open(url: str, start: int, end: int | None, condition: str | None) -> Https
         kind = Interrupted if error.code in _AGAIN else SystemFault
         raise kind(_shown(f"HTTP Error {error.code}: {error.reason}")) from None
     except (OSError, HTTPException) as error:
-        raise Interrupted(_shown(str(getattr(error, "reason", error)))) from None
+        reason = getattr(error, "reason", error)
+        problem = _shown(str(reason))
+        if isinstance(reason, socket.gaierror):
+            raise OfflineError(
+                f"no server {urlsplit(url).hostname} is known here, or no network ({problem})"
+            ) from None
+        if isinstance(reason, OSError) and reason.errno in {errno.ENETUNREACH, errno.ENETDOWN}:
+            raise OfflineError(f"no network ({problem})") from None
+        raise Interrupted(problem) from None
     except ValueError as error:  # of a redirect
         raise SystemFault(_shown(f"leads to an address that can't be: {error}")) from None
     return _answer(response, start)

@@ -210,7 +210,8 @@ def _note_pairs(streams: list[SensorStream], notes: list[str]) -> None:
 
 
 def _truth(base: Path, streams: list[SensorStream], notes: list[str]) -> ImportedTruth | None:
-    source = next((path for pattern in _TRUTHS if (path := _first((base,), pattern)) is not None), None)
+    sources = [path for pattern in _TRUTHS if (path := _first((base,), pattern)) is not None]
+    source = next(iter(sources), None)
     if source is None:
         markers = [name for name in _MARKERS if (base / name).is_dir()]
         if markers:
@@ -219,6 +220,9 @@ def _truth(base: Path, streams: list[SensorStream], notes: list[str]) -> Importe
                 "left out"
             )
         return None
+    if len(sources) > 1:
+        named = [str(path.resolve().relative_to(base.resolve().parent)) for path in sources]
+        notes.append(f"groundTruth: {named[0]} is taken; there is {', '.join(named[1:])}, too")
     manifest = GroundTruth(file="groundtruth.txt")
     try:
         poses = _poses(source)

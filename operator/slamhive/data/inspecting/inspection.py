@@ -11,21 +11,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.data.doctor.cameras import calibration_findings
 from slamhive.data.doctor.examining import examine
 from slamhive.data.doctor.findings import Severity
-from slamhive.data.recordings.checks import check_content, check_stamps, content_findings
-from slamhive.data.recordings.entries import DatasetEntry, check_sums
-from slamhive.data.recordings.posetopics import check_pose_topic, truth_topic
-from slamhive.data.recordings.reading import open_recording
-from slamhive.data.recordings.streams import STATIC_TRANSFORMS, camera_info_topic, check_topic, sound_sensors
+from slamhive.data.doctor.stamps import gaps_of
+from slamhive.data.recordings.checks import content_findings, stamp_fault
+from slamhive.data.recordings.entries import DatasetEntry
+from slamhive.data.recordings.posetopics import truth_topic
+from slamhive.data.recordings.repairing import open_recording
+from slamhive.data.recordings.streams import STATIC_TRANSFORMS, camera_info_topic, sound_sensors
 from slamhive.data.recordings.thinning import rate_of
 from slamhive.data.store.groundtruth import ground_truth, require_overlap, truth_range
-from slamhive.model.dataset import fills, sensor_for
+from slamhive.model.dataset import modes_with
 from slamhive.model.errors import DataError
-from slamhive.model.sensors import ROLES, SensorType
 from slamhive_eval import Relations, Trajectory
-from slamhive_eval.coverage import REFERENCE_GAP_SECONDS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -34,11 +32,9 @@ if TYPE_CHECKING:
     from slamhive.data.doctor.findings import Finding
     from slamhive.data.recordings.reading import Recording, Scan
     from slamhive.data.store.groundtruth import GroundTruthPoses
-    from slamhive.model.dataset import Dataset, DatasetSpec
+    from slamhive.model.dataset import DatasetSpec
     from slamhive.model.sensors import Sensor
 
-GAP_PERIODS = 3.0
-"""Periods of a sensor's mean rate without a message that are called a gap."""
 SMALL_SHARE = 0.9
 """Share of the recording's length below which a sensor is said to cover little of it: a run lasts as long as
 its first camera, LiDAR or scanner, and an algorithm needs the others all the time."""
@@ -137,6 +133,7 @@ class DatasetReport:
         errors: What keeps the dataset from being used, a sentence each.
         warnings: What may be wrong, a sentence each.
         findings: All that has a code, errors and warnings among them, the gravest first.
+        sampled: Number of messages that were looked at, of a sample; None where all were.
     """
 
     name: str
@@ -150,6 +147,7 @@ class DatasetReport:
     errors: list[str]
     warnings: list[str]
     findings: list[Finding] = field(default_factory=list)
+    sampled: int | None = None
 
     @property
     def is_usable(self) -> bool:
@@ -174,16 +172,17 @@ def inspect(
     errors: list[str] = []
     warnings: list[str] = []
     findings: list[Finding] = []
+    declared, entry = entry.dataset, told_entry(entry)
     spec = entry.dataset.spec
     try:
-        with open_recording(entry.dataset, entry.root) as recording:
+        with open_recording(declared, entry.root) as recording:
             sound = sound_sensors(recording, spec.sensors, errors)
             contents = content_findings(recording, sound, errors, warnings)
-            known, fault = _read_truth(entry, cache)
+            known, fault = read_truth(entry, cache)
             poses = known.poses if known is not None and isinstance(known.poses, Trajectory) else None
             watched, findings = examine(entry, recording, sound, poses, progress)
             warnings += watched.broken
-            sensors = _sensors(spec, recording, watched.scans, contents, errors, warnings)
+            sensors = _sensors(spec, recording, watched.scans, contents, warnings)
             used = {sensor.topic for sensor in spec.sensors.values()} | {STATIC_TRANSFORMS}
             used |= {camera_info_topic(recording, sensor.topic) or "" for sensor in spec.sensors.values()}
             used.add((spec.ground_truth and truth_topic(spec.ground_truth.topic)) or "")
@@ -215,7 +214,6 @@ def inspect(
     errors += [fault] if fault else []
     if truth is not None and truth.kind == "trajectory":
         warnings += _truth_shares(spec, timed, truth)
-    warnings += _sparse_truth(truth)
     stated, length = spec.recording.duration_seconds, span[1] - span[0] if span else None
     if stated and length is not None and abs(stated - length) > max(_RATE_TOLERANCE * stated, 1.0):
         warnings.append(f"recording.durationSeconds: states {stated:g} s, the messages last {length:.3f} s")
@@ -239,66 +237,11 @@ def inspect(
     )
 
 
-def require_usable(dataset: Dataset, root: Path, cache: Path | None = None) -> list[str]:
-    """Refuse a dataset that no run could work with, before it is known.
-
-    What takes reading all messages of the recording is left to `inspect`. Files that are still to be fetched
-    are not looked at.
-
-    Args:
-        dataset: The dataset as declared.
-        root: The folder that its paths start from.
-        cache: Folder in which hashes of files are remembered.
-
-    Returns:
-        What may be wrong all the same, a sentence each.
-
-    Raises:
-        DataError: A file isn't what its checksum says; the recording can't be read, lacks a sensor's topic or
-            isn't what is said of it; the ground truth can't be read, or is of another time.
-    """
-    files = dataset.spec.recording.files
-    if not files or any(file.url and not (root / file.path).exists() for file in files):
-        return []
-    entry = DatasetEntry(dataset, root)
-    spec = dataset.spec
-    with open_recording(dataset, root) as recording:
-        for name, sensor in spec.sensors.items():
-            check_topic(recording, name, sensor)
-        warnings = check_content(recording, spec.sensors)
-        for name, sensor in spec.sensors.items():
-            if sensor.type in {SensorType.CAMERA, SensorType.DEPTH_CAMERA}:
-                found = calibration_findings(recording, name, sensor)
-                warnings += [one.message for one in found if one.severity is not Severity.NOTE]
-        if spec.ground_truth is not None and spec.ground_truth.topic is not None:
-            check_pose_topic(recording, spec.ground_truth.topic)
-        span = _rough_span(recording, spec.sensors)
-    if spec.ground_truth is not None and spec.ground_truth.file is not None:
-        truth = ground_truth(entry)
-        if truth is not None and span is not None:
-            require_overlap(truth.poses, *span, where=f"dataset {dataset.name!r}: groundTruth")
-    check_sums(entry, cache)
-    return warnings
-
-
-def _rough_span(recording: Recording, sensors: Mapping[str, Sensor]) -> tuple[float, float] | None:
-    """Return the begin of the sensors' messages and, by the times of recording, their latest end, s."""
-    begins = []
-    for sensor in sensors.values():
-        stamp_of = recording.stamp_reader(recording.topics[sensor.topic].message_type)
-        if stamp_of is None:
-            continue
-        _, _, raw = next(iter(recording.messages({sensor.topic})))
-        begins.append(stamp_of(raw) / 1e9 + sensor.time_offset)
-    return (min(begins), max(begins) + recording.seconds) if begins else None
-
-
-def _sensors(  # noqa: PLR0917 - what is known, then what is added to
+def _sensors(
     spec: DatasetSpec,
     recording: Recording,
     scans: Mapping[str, Scan],
     contents: Mapping[str, str],
-    errors: list[str],
     warnings: list[str],
 ) -> list[SensorReport]:
     reports = []
@@ -306,18 +249,21 @@ def _sensors(  # noqa: PLR0917 - what is known, then what is added to
         if sensor.topic not in scans:
             reports.append(SensorReport(name, sensor.type, sensor.topic))
             continue
-        scan = scans[sensor.topic]
-        try:
-            check_stamps(scan, f"sensors.{name}: {sensor.topic} in {recording.label}")
-        except DataError as error:
-            errors.append(str(error))
-        report = _report(recording, name, sensor, scan, contents.get(name, ""))
+        report = _report(recording, name, sensor, scans[sensor.topic], contents.get(name, ""))
         reports.append(report)
-        warnings += _suspicions(report, sensor)
+        # A rate by stamps that can't be says nothing.
+        if stamp_fault(scans[sensor.topic].stamps) is None:
+            warnings += _suspicions(report, sensor)
     return reports
 
 
-def _read_truth(entry: DatasetEntry, cache: Path | None) -> tuple[GroundTruthPoses | None, str | None]:
+def told_entry(entry: DatasetEntry) -> DatasetEntry:
+    """Return a dataset as its repair leaves it: what is judged is what algorithms are given, and told."""
+    spec = entry.dataset.spec
+    return DatasetEntry(entry.dataset.replace(spec=spec.replace(sensors=spec.told_sensors)), entry.root)
+
+
+def read_truth(entry: DatasetEntry, cache: Path | None) -> tuple[GroundTruthPoses | None, str | None]:
     """Return the ground truth, and what keeps it from being read."""
     try:
         return ground_truth(entry, cache), None
@@ -327,9 +273,9 @@ def _read_truth(entry: DatasetEntry, cache: Path | None) -> tuple[GroundTruthPos
 
 def _report(recording: Recording, name: str, sensor: Sensor, scan: Scan, content: str) -> SensorReport:
     stamps = np.sort(scan.stamps)
-    steps = np.diff(stamps)
     rate = rate_of(stamps)
-    wide = np.flatnonzero(steps > GAP_PERIODS * 1e9 / rate) if rate else np.array([], dtype=np.intp)
+    wide, limit = gaps_of(stamps)
+    steps = np.diff(stamps)
     longest = wide[np.argsort(-steps[wide], kind="stable")][:_SHOWN_GAPS]
     return SensorReport(
         name=name,
@@ -344,7 +290,7 @@ def _report(recording: Recording, name: str, sensor: Sensor, scan: Scan, content
             MessageGap(float(stamps[k] / 1e9) + sensor.time_offset, float(steps[k] / 1e9)) for k in longest
         ],
         gap_count=len(wide),
-        gap_threshold=round(GAP_PERIODS / rate, 6) if rate else None,
+        gap_threshold=None if limit is None else round(limit, 6),
         size_bytes=scan.size_bytes,
         content=content,
     )
@@ -369,7 +315,7 @@ def _truth_shares(spec: DatasetSpec, sensors: list[SensorReport], truth: TruthRe
     """Name the sensors that the modes need and that last for little of the ground truth."""
     problems = []
     for report in sensors:
-        modes = _modes_with(spec, report.name)
+        modes = modes_with(report.name, spec.sensors)
         if not modes or report.first is None or report.last is None or truth.last <= truth.first:
             continue
         both = max(0.0, min(report.last, truth.last) - max(report.first, truth.first))
@@ -384,46 +330,13 @@ def _truth_shares(spec: DatasetSpec, sensors: list[SensorReport], truth: TruthRe
     return problems
 
 
-def _modes_with(spec: DatasetSpec, name: str) -> list[str]:
-    """Return the modes that the sensors serve and that need the sensor of a name."""
-    types = {one: sensor.type for one, sensor in spec.sensors.items()}
-    return [
-        str(mode)
-        for mode, roles in ROLES.items()
-        if all(fills(role, types) for role in roles)
-        and name in {sensor_for(role, spec.sensors) for role in roles}
-    ]
-
-
 def _suspicions(report: SensorReport, sensor: Sensor) -> list[str]:
     problems = []
     if sensor.rate and report.rate and abs(report.rate - sensor.rate) > _RATE_TOLERANCE * sensor.rate:
         problems.append(
             f"sensors.{report.name}.rate: states {sensor.rate:g} Hz, the recording has {report.rate:g} Hz"
         )
-    if report.gap_count:
-        longest = report.gaps[0]
-        problems.append(
-            f"sensors.{report.name}: {report.gap_count} gap{'s' if report.gap_count > 1 else ''} in "
-            f"{report.topic}, the longest {longest.seconds:.3f} s at {longest.start:.3f} s; a gap is more "
-            f"than {report.gap_threshold:.3g} s, {GAP_PERIODS:g} periods"
-        )
     return problems
-
-
-def _sparse_truth(truth: TruthReport | None) -> list[str]:
-    """Warn of ground truth with so much time between poses that few of an estimate's poses would meet one."""
-    if truth is None or truth.kind not in ("trajectory", "positions") or truth.count < 2:
-        return []
-    if truth.usual_gap is None or truth.usual_gap <= REFERENCE_GAP_SECONDS:
-        return []
-    sentence = (
-        f"groundTruth: its {truth.count} poses are {truth.usual_gap:.3g} s apart typically: an estimate "
-        "meets few of them within association.maxDifference (10 ms), and spans of more than "
-        f"{REFERENCE_GAP_SECONDS:g} s between poses count as holes, so that runs come out Lost; if these are "
-        "surveyed points, declare format: ControlPoints, and the estimate is interpolated to them"
-    )
-    return [sentence]
 
 
 def _truth(name: str, found: GroundTruthPoses | None, span: tuple[float, float] | None) -> TruthReport | None:

@@ -22,7 +22,7 @@ from slamhive.data.inspecting.overviews import VERSION
 from slamhive.data.recordings import kinds
 from slamhive.data.recordings.entries import dataset_sha256
 from slamhive.data.recordings.pictures import from_above, jpeg
-from slamhive.data.recordings.reading import open_recording
+from slamhive.data.recordings.repairing import open_recording
 from slamhive.data.recordings.streams import sound_sensors
 from slamhive.data.store.groundtruth import ground_truth
 from slamhive.model.errors import DataError
@@ -154,7 +154,7 @@ def look_over(
     """
     notes: list[str] = []
     with open_recording(entry.dataset, entry.root) as recording:
-        sound = sound_sensors(recording, entry.dataset.spec.sensors, notes)
+        sound = sound_sensors(recording, entry.dataset.spec.told_sensors, notes)
         times = _Times(recording, sound, notes)
         times.read(progress)
         start, end = times.extent()

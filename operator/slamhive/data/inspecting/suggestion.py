@@ -6,29 +6,39 @@ from __future__ import annotations
 import itertools
 import os
 import re
+from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
+from pydantic import ValidationError
 
+from slamhive.data.doctor.examining import examine
 from slamhive.data.doctor.files import static_contradictions
+from slamhive.data.doctor.imus import first_samples, has_halves, other_half
+from slamhive.data.doctor.points import LOOKED_AT
+from slamhive.data.doctor.pointtimes import LEAST_SCAN_SECONDS, SAME_INSTANT
 from slamhive.data.recordings import kinds
-from slamhive.data.recordings.checks import LEAST_SCAN_SECONDS, SAME_INSTANT
-from slamhive.data.recordings.clouds import cloud_points, point_times
+from slamhive.data.recordings.clouds import TIME_FIELDS, cloud_points, point_times
+from slamhive.data.recordings.entries import DatasetEntry
 from slamhive.data.recordings.kinds import KINDS
-from slamhive.data.recordings.posetopics import POSE_TYPES, relative_pose, static_tree
+from slamhive.data.recordings.posetopics import POSE_TYPES, TRUTH_NAME, relative_pose, static_tree
 from slamhive.data.recordings.reading import TF_TYPES, Recording, guess_format
 from slamhive.data.recordings.streams import STATIC_TRANSFORMS, camera_info_topic
 from slamhive.data.recordings.thinning import rate_of
-from slamhive.model.dataset import fills
+from slamhive.model.dataset import Dataset, fills
+from slamhive.model.errors import DataError, InputError
 from slamhive.model.sensors import ROLES, Role, SensorType
 from slamhive_eval.formats.posemessages import add_transforms
 from slamhive_eval.formats.transforms import Frames
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Collection, Iterable, Iterator, Sequence
+
+    import numpy.typing as npt
 
     from slamhive.data.recordings.reading import Scan
 
@@ -39,8 +49,9 @@ _DEPTH_CLOUD = re.compile("depth|camera|color|rgb|registered", re.IGNORECASE)
 _WHEELS = re.compile("odom|wheel|encoder", re.IGNORECASE)
 _LOOKED_AT, _SHOWN_FRAMES = 1000, 20
 """Messages of /tf to look at, and frames of it to name."""
-_TRUTH = re.compile(r"ground_?truth|(^|/)gt(/|_|$)|vicon|mocap|optitrack|vrpn", re.IGNORECASE)
-_TIMES, _RINGS = ("time", "t", "timestamp", "time_offset", "offset_time"), ("ring", "line", "channel")
+_PIECE, _SHOWN_PIECES = re.compile(r"(.*_)(\d+)(\.bag|\.mcap|\.db3)"), 4
+"""Name of a piece of a recording, as `rosbag record --split` and `ros2 bag record` number them."""
+_RINGS, _MOST_RINGS = ("ring", "line", "channel"), 1024
 _MODELS = {
     "plumb_bob": "RadialTangential",
     "rational_polynomial": "RadialTangential",
@@ -56,18 +67,13 @@ class Suggestion:
     Attributes:
         manifest: A Dataset as plain values.
         missing: What isn't known or was guessed, a sentence each with the field it is about.
-        elsewhere: The recording, where it isn't below the manifest's folder: the manifest names a link to it
-            in that folder, which has to be made.
+        elsewhere: Files of the recording that aren't below the manifest's folder, by the name of the link
+            to each in that folder, which has to be made.
     """
 
     manifest: dict[str, Any]
     missing: list[str] = field(default_factory=list)
-    elsewhere: Path | None = None
-
-    @property
-    def file(self) -> str:
-        """Return the recording's path in the manifest."""
-        return str(self.manifest["spec"]["recording"]["files"][0]["path"])
+    elsewhere: dict[str, Path] = field(default_factory=dict)
 
     @property
     def text(self) -> str:
@@ -79,28 +85,66 @@ class Suggestion:
         )
 
 
-def suggest_dataset(path: Path, name: str, base: Path | None = None) -> Suggestion:
+def suggest_dataset(paths: Sequence[Path], name: str, base: Path | None = None) -> Suggestion:
     """Look into a recording and write down what it says of itself.
 
     Args:
-        path: A ROS 1 bag, a ROS 2 bag's folder or an MCAP file.
+        paths: A ROS 1 bag, a ROS 2 bag's folder or an MCAP file; or the pieces of one recording.
         name: Name of the dataset.
         base: Folder that the manifest will lie in; default: the working directory.
 
     Raises:
         DataError: It can't be read, or there is no message in it.
+        InputError: A piece is named twice.
     """
-    with Recording([path], guess_format(path)) as recording:
+    twice = next(
+        (path for at, path in enumerate(paths) if path.resolve() in map(Path.resolve, paths[:at])), None
+    )
+    if twice is not None:
+        raise InputError(f"{twice}: named twice; each piece of a recording is named once")
+    with Recording(paths, guess_format(paths[0])) as recording:
         look = _Look(recording, name)
         found = look.suggestion()
+    if len(paths) == 1:
+        found.missing += _pieces_beside(paths[0])
     base = base or Path.cwd()
-    there = Path(os.path.abspath(path))  # noqa: PTH100 - a link below the folder is in it
-    if there.is_relative_to(base):
-        file = str(there.relative_to(base))
-    else:
-        file, found.elsewhere = path.resolve().name, path.resolve()
-    found.manifest["spec"]["recording"]["files"] = [{"path": file}]
+    files = []
+    for path in paths:
+        there = Path(os.path.abspath(path))  # noqa: PTH100 - a link below the folder is in it
+        if there.is_relative_to(base):
+            files.append(str(there.relative_to(base)))
+        else:
+            link = path.resolve().name
+            if link in found.elsewhere:
+                raise InputError(
+                    f"{path}: another piece is called {link}, too; name links to them that differ"
+                )
+            found.elsewhere[link] = path.resolve()
+            files.append(link)
+    found.manifest["spec"]["recording"]["files"] = [{"path": file} for file in files]
     return found
+
+
+def _pieces_beside(path: Path) -> Iterator[str]:
+    """Yield a sentence on files beside one that recorders name so where they split a recording."""
+    match = _PIECE.fullmatch(path.name)
+    if match is None or path.is_dir():
+        return
+    before, _, ending = match.groups()
+    others = sorted(
+        (int(other[2]), entry)
+        for entry in path.parent.iterdir()
+        if entry.name != path.name
+        and (other := _PIECE.fullmatch(entry.name))
+        and other.group(1, 3) == (before, ending)
+    )
+    if others:
+        names = ", ".join(entry.name for _, entry in others[:_SHOWN_PIECES])
+        more = f" and {len(others) - _SHOWN_PIECES} more" if len(others) > _SHOWN_PIECES else ""
+        yield (
+            f"recording.files: {names}{more} beside {path.name} may be pieces of one recording: "
+            f"name all, as slamhive dataset add {before}*{ending}"
+        )
 
 
 class _Look:
@@ -113,6 +157,7 @@ class _Look:
         self.notes += [finding.message for finding in static_contradictions(recording)]
         self.tree = static_tree(recording)
         self.body: str | None = None
+        self.forces: dict[str, str] = {}
 
     def suggestion(self) -> Suggestion:
         found = self._sensors()
@@ -129,11 +174,17 @@ class _Look:
             "recording": {"format": str(self.recording.format)} | _length(scans.values()),
             "sensors": sensors,
         }
+        repairs = {
+            name: {"forces": self.forces[topic]} for name, (_, topic) in found.items() if topic in self.forces
+        }
+        if repairs:
+            spec["repair"] = {"sensors": repairs}
+        self._findings(sensors, repairs)
         truth = self._truth()
         if truth:
             spec["groundTruth"] = truth
         self._modes({name: kind for name, (kind, _) in found.items()})
-        self._others({topic for _, topic in found.values()}, truth)
+        self._others({topic for _, topic in found.values()} | {*self.forces.values()}, truth)
         manifest = {
             "apiVersion": "slamhive.io/v1alpha1",
             "kind": "Dataset",
@@ -149,6 +200,8 @@ class _Look:
             if kind.role is None:
                 continue
             topics = [topic for topic in self._of_type(*kind.messages) if self._kind(topic) is sensor_type]
+            if sensor_type is SensorType.IMU:
+                topics = self._joined(topics)
             names = _names(kind.role, len(topics))
             found |= {name: (sensor_type, topic) for name, topic in zip(names, topics, strict=True)}
             if sensor_type is SensorType.ODOMETRY and topics:
@@ -157,6 +210,37 @@ class _Look:
                     "another program estimated"
                 )
         return found | self._cameras()
+
+    def _findings(self, sensors: dict[str, dict[str, Any]], joined: Collection[str]) -> None:
+        """Note what a sample of the messages of LiDARs and IMUs tells; of cameras is said what is missing."""
+        known = {
+            name: one
+            for name, one in sensors.items()
+            if one["type"] in {"Lidar", "Imu"} and name not in joined
+        }
+        recording = {"format": str(self.recording.format), "files": [{"path": "recording"}]}
+        try:
+            dataset = Dataset.model_validate(
+                {"metadata": {"name": "recording"}, "spec": {"recording": recording, "sensors": known}}
+            )
+        except ValidationError:  # Such as extrinsics of NaN, which are refused when the manifest is added.
+            return
+        entry = DatasetEntry(dataset, Path())
+        for finding in examine(entry, self.recording, dataset.spec.sensors, None, quick=True)[1]:
+            if finding.message not in self.notes:
+                line = f"; in spec: {finding.repair_line}" if finding.repair_line else ""
+                self.notes.append(f"{finding.message}{line}")
+
+    def _joined(self, topics: list[str]) -> list[str]:
+        """Return the topics of IMUs; those of forces alone go with topics of rates alone."""
+        has = {topic: has_halves(*first_samples(self.recording, topic)) for topic in topics}
+        forces = [topic for topic in topics if has[topic] == (False, True)]
+        for topic in topics:
+            other = other_half(topic, forces) if has[topic] == (True, False) else None
+            if other is not None:
+                forces.remove(other)
+                self.forces[topic] = other
+        return [topic for topic in topics if topic not in self.forces.values()]
 
     def _kind(self, topic: str) -> SensorType | None:
         """Tell which kind of sensor a topic of a kind's messages belongs to, None for none."""
@@ -167,8 +251,8 @@ class _Look:
                 coloured = any(item.name in {"rgb", "rgba"} for item in message.fields)
                 is_depth = coloured or _DEPTH_CLOUD.search(topic) or "optical" in frame
                 return SensorType.POINT_CLOUD if is_depth else SensorType.LIDAR
-            case kinds.ODOMETRY:
-                return None if _TRUTH.search(topic) else SensorType.ODOMETRY
+            case kinds.ODOMETRY | kinds.GNSS_FIX if TRUTH_NAME.search(topic):
+                return None
             case kinds.TWIST | kinds.TWIST_WITH_COVARIANCE:
                 # What a robot is told to do has the same type as what it did.
                 return SensorType.ODOMETRY if _WHEELS.search(topic) else None
@@ -223,16 +307,17 @@ class _Look:
     def _modes(self, types: dict[str, SensorType]) -> None:
         """Note which modes the sensors serve, and what the others lack."""
         served: list[str] = []
-        lacking: dict[str, list[str]] = {}
+        lacking: dict[str, None] = {}
         for mode, roles in ROLES.items():
             missing = [str(role) for role in roles if not fills(role, types)]
-            (lacking.setdefault(missing[0], []) if missing else served).append(str(mode))
+            lacking |= dict.fromkeys(missing)
+            served += [] if missing else [str(mode)]
         if not types:
             self.notes.append("sensors: no topic is a sensor's that is known here, so no mode is served")
             return
-        parts = [f"{', '.join(modes)} (no {role})" for role, modes in lacking.items()]
         self.notes.append(
-            f"modes that it serves: {', '.join(served) or 'none'}; that it can't: {'; '.join(parts)}"
+            f"modes that it serves: {', '.join(served) or 'none'}"
+            + (f"; the others lack one of {', '.join(lacking)}" if lacking else "")
         )
 
     def _others(self, used: set[str], truth: dict[str, Any] | None) -> None:
@@ -275,11 +360,18 @@ class _Look:
         result["T_body_sensor"] = [[float(number) for number in row] for row in pose]
         match kind:
             case SensorType.LIDAR:
-                result |= self._lidar(role, topic, message)
+                result |= self._lidar(role, topic, self.recording.some(topic, LOOKED_AT))
             case SensorType.IMU:
                 self.notes.append(
                     f"sensors.{role}.imu: noise isn't in the recording; the defaults stand in for it"
                 )
+                forces = self.forces.get(topic)
+                if forces is not None:
+                    self.notes.append(
+                        f"repair.sensors.{role}.forces: {topic} has turning rates alone, {forces} specific "
+                        "forces alone, so they are taken for halves of one IMU, whose axes and place they "
+                        "share; forces are interpolated at the stamps of the rates"
+                    )
                 result["imu"] = {}
             case SensorType.LASER_SCAN:
                 result["stamp"] = "ScanStart"  # sensor_msgs/LaserScan: when the first ray was taken
@@ -287,24 +379,31 @@ class _Look:
                 result |= self._camera(role, topic, message)
         return result
 
-    def _lidar(self, role: str, topic: str, message: Any) -> dict[str, Any]:
-        names = [item.name for item in message.fields]
+    def _lidar(self, role: str, topic: str, scans: list[Any]) -> dict[str, Any]:
+        names = [item.name for item in scans[0].fields]
         lidar: dict[str, Any] = {}
-        time = next((name for name in _TIMES if name in names), None)
+        read = []
+        for scan in scans:
+            with suppress(DataError):  # A finding says which scans can't be read.
+                read.append((scan, cloud_points(scan, topic)))
+        time = next((name for name in TIME_FIELDS if name in names), None)
         ring = next((name for name in _RINGS if name in names), None)
         stamp = None
         if time:
             lidar["timeField"] = time
-            stamp = _told_by_times(message, topic, time)
+            # Of most scans: the first of a recording may be half a one.
+            told = Counter(_told_by_times(scan, points, time) for scan, points in read)
+            stamp = told.most_common(1)[0][0] if told else None
         else:
             self.notes.append(
                 f"sensors.{role}.lidar.timeField: points have no time; they have {', '.join(names)}"
             )
         if ring:
             lidar["ringField"] = ring
-            rings = cloud_points(message, topic)[ring]
-            if rings.size:
-                lidar["rings"] = int(rings.max()) + 1
+            numbers = [points[ring] for _, points in read if ring in (points.dtype.names or ())]
+            rings = 1 + max((int(np.nan_to_num(one).max()) for one in numbers if len(one)), default=-1)
+            if 0 < rings <= _MOST_RINGS:
+                lidar["rings"] = rings
         if stamp is None:
             self.notes.append(f"sensors.{role}.stamp: ScanStart is a guess; say what the header stamp means")
         else:
@@ -345,9 +444,12 @@ class _Look:
 
     def _truth(self) -> dict[str, Any] | None:
         poses = self._of_type(*POSE_TYPES)
-        named = [topic for topic in poses if _TRUTH.search(topic)]
+        named = [topic for topic in poses if TRUTH_NAME.search(topic)]
         if named:
-            self.notes.append(f"groundTruth: {named[0]} taken by its name; say whose pose it is (frame)")
+            also = f"; there is {', '.join(named[1:])}, too" if named[1:] else ""
+            self.notes.append(
+                f"groundTruth: {named[0]} taken by its name{also}; say whose pose it is (frame)"
+            )
             return {"topic": named[0], "frame": "body"}
         known = [*poses, *self._moving_frames()]
         also = f"; topics with poses: {', '.join(known)}" if known else ""
@@ -416,13 +518,15 @@ def _length(scans: Iterable[Scan]) -> dict[str, float]:
     return {"durationSeconds": round(length, 3)} if length >= 0.001 else {}
 
 
-def _told_by_times(message: Any, topic: str, field: str) -> str | None:
+def _told_by_times(message: Any, points: npt.NDArray[np.void], field: str) -> str | None:
     """Return the instant of a scan that its header means, where the times of its points tell.
 
     Times that run from 0 on don't: they may count from the scan's start whatever the header means.
     """
     header = message.header.stamp
-    found = point_times(cloud_points(message, topic), field, header.sec * 10**9 + header.nanosec)
+    if field not in (points.dtype.names or ()):
+        return None
+    found = point_times(points, field, header.sec * 10**9 + header.nanosec)
     if found is None:
         return None
     times, is_absolute = found

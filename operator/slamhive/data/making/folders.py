@@ -24,6 +24,7 @@ from slamhive.data.recordings.rectifying import rectify
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.formats import DataFormat
 from slamhive.model.sensors import Role, SensorType
+from slamhive.plan.misleading import misled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -147,7 +148,7 @@ def write_folder(  # noqa: PLR0917 - progress comes last everywhere
             frames.take(roles[topic], streams[topic], kept[topic], raw)
             kept[topic] += 1
     views = frames.views()
-    layout.finish(views)
+    layout.finish(misled(views, changes.perturb))
     return views
 
 

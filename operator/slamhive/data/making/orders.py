@@ -18,12 +18,14 @@ from slamhive.data.making.selection import complete_frames, select
 from slamhive.data.recordings.checks import check_content
 from slamhive.data.recordings.clouds import cloud_filter
 from slamhive.data.recordings.posetopics import truth_topic
-from slamhive.data.recordings.reading import open_recording, recording_paths
+from slamhive.data.recordings.reading import recording_paths
+from slamhive.data.recordings.repairing import open_recording
 from slamhive.data.recordings.streams import streams_of
 from slamhive.model.base import seconds
 from slamhive.model.configuration import SensorView
 from slamhive.model.errors import InputError
 from slamhive.model.formats import FILE_NAMES, DataFormat, RecordingFormat, holds, misfit
+from slamhive.model.run import STAMPS, TOLD, Perturbation, without_idle
 from slamhive.model.sensors import ROLE_TYPES, Role, SensorType
 
 if TYPE_CHECKING:
@@ -49,6 +51,7 @@ class RecordingOptions:
         start: Seconds left out at the beginning.
         duration: Seconds kept; None: all.
         lidar: What is kept of scans.
+        perturb: What is made worse on purpose; None: nothing.
     """
 
     frame_rate: float | None
@@ -56,6 +59,7 @@ class RecordingOptions:
     start: float
     duration: float | None
     lidar: LidarInput | None
+    perturb: Perturbation | None = None
 
     @property
     def is_idle(self) -> bool:
@@ -65,7 +69,7 @@ class RecordingOptions:
 
 def _sensor_for(entry: DatasetEntry, role: Role, options: InputOptions) -> SensorView:
     name = entry.dataset.spec.sensor_for(role, options.remap)
-    sensor = entry.dataset.spec.sensors[name]
+    sensor = entry.dataset.spec.told_sensors[name]
     expected = ROLE_TYPES[role]
     if sensor.type is not expected:
         raise InputError(
@@ -74,7 +78,7 @@ def _sensor_for(entry: DatasetEntry, role: Role, options: InputOptions) -> Senso
     return SensorView.model_validate(sensor.as_json() | {"name": name})
 
 
-def _wish(options: InputOptions, sensors: dict[Role, SensorView]) -> RecordingOptions:
+def _wish(options: InputOptions, sensors: dict[Role, SensorView], target: DataFormat) -> RecordingOptions:
     types = {sensor.type for sensor in sensors.values()}
     cameras = types & {SensorType.CAMERA, SensorType.DEPTH_CAMERA}
     lidar = options.lidar if SensorType.LIDAR in types else None
@@ -84,7 +88,33 @@ def _wish(options: InputOptions, sensors: dict[Role, SensorView]) -> RecordingOp
         start=seconds(options.start) if options.start else 0.0,
         duration=seconds(options.duration) if options.duration else None,
         lidar=lidar if lidar and lidar.as_json() else None,
+        perturb=_perturbation(options, sensors, target),
     )
+
+
+_PERTURBED = {"lidar": SensorType.LIDAR, "images": SensorType.CAMERA, "imu": SensorType.IMU}
+
+
+def _perturbation(
+    options: InputOptions, sensors: dict[Role, SensorView], target: DataFormat
+) -> Perturbation | None:
+    """Return the perturbation as far as it changes something of the sensors' recording.
+
+    What an algorithm is told wrongly of its sensors is part of a folder's files, and of no bag.
+    """
+    if options.perturb is None:
+        return None
+    types = {sensor.type for sensor in sensors.values()}
+    body = options.perturb.as_json()
+    for block, kind in _PERTURBED.items():
+        if kind not in types:
+            body.pop(block, None)
+    for block in (*STAMPS, *TOLD):
+        is_told = target.is_folder or block in STAMPS
+        by_role = body.pop(block, {})
+        body[block] = {role: by_role[role] for role in map(str, sensors) if is_told and role in by_role}
+    found = without_idle(body)
+    return Perturbation.model_validate(found) if found else None
 
 
 def _views(sensors: dict[Role, SensorView], wish: RecordingOptions) -> dict[Role, SensorView]:
@@ -108,7 +138,7 @@ class Order:
 
     Attributes:
         entry: The dataset, materialised.
-        sensors: The sensors by role as the dataset declares them.
+        sensors: The sensors by role as the dataset declares them, under its repair.
         wish: The options that matter.
         target: How it is stored.
         views: The sensors as the options and a folder's form leave them; rates follow from the frames kept.
@@ -155,7 +185,7 @@ def order_of(
     if topics and target.is_folder:
         raise InputError(f"modes.topics: {target} holds no topics; recording: a bag does")
     sensors = {role: _sensor_for(entry, role, options) for role in roles}
-    wish = _wish(options, sensors)
+    wish = _wish(options, sensors, target)
     views = _views(sensors, wish)
     folder = None
     if target.is_folder:
@@ -182,6 +212,7 @@ def make_recording(
     """
     # With OpenCV and writers of bags, half a second: for those alone who make a recording.
     from slamhive.data.making.folders import write_folder  # noqa: PLC0415
+    from slamhive.data.making.perturbing import perturbed  # noqa: PLC0415
     from slamhive.data.making.transfer import is_decoded, transfer  # noqa: PLC0415
 
     entry, wish, target = order.entry, order.wish, order.target
@@ -194,10 +225,15 @@ def make_recording(
         selection = select(recording, streams, wish, _share(progress, 0.0, 0.3))
         original = recording_paths(entry.dataset, entry.root)
         whole = {stream.topic for stream in streams} == set(recording.topics)
+        whole = whole and not entry.dataset.spec.topic_repairs and not recording.is_converted
+        whole = whole and (target is DataFormat.ROSBAG1 or recording.is_playable)
         whole = whole and not any(is_decoded(recording, stream) for stream in streams)
         report = _share(progress, 0.3, 1.0)
         if order.folder is not None:
             selection = complete_frames(selection)
+        if wish.perturb is not None:
+            is_whole = order.folder is not None
+            selection = perturbed(recording, selection, wish.perturb, order.sensors, is_whole=is_whole)
         views = _timed(order.views, selection)
         if order.folder is not None:
             views = write_folder(recording, selection, wish, order.folder.timed(views), path, report)

@@ -5,7 +5,7 @@ A variant holds the chosen sensors' topics with their camera_info, and /tf_stati
 folder of files (`folders`); never ground truth. It is a folder ``KEY`` of the cache with the recording,
 ``frames.txt`` (stamps of the primary sensor's frames in ns of sensor time, a line a frame) and
 ``variant.json``, made once, and whole when it exists. Its key hashes the recording, the sensors' calibration,
-the options that matter and `VERSION`.
+the options that matter, what their messages are repaired of, and `VERSION`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ from slamhive.model.configuration import SensorView
 from slamhive.model.errors import InputError, SystemFault
 from slamhive.model.formats import FILE_NAMES, DataFormat, RecordingFormat
 from slamhive.model.results import Prepared
+from slamhive.model.run import without_idle
 from slamhive.model.sensors import FOLLOWS, Role
+from slamhive.model.variant import open_codes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -37,8 +39,10 @@ if TYPE_CHECKING:
     from slamhive.data.making.orders import MadeRecording, Order
     from slamhive.data.recordings.entries import DatasetEntry
     from slamhive.model.run import InputOptions
+    from slamhive.model.variant import OpenFinding
 
 DESCRIPTION = "variant.json"
+_OF_ROS_2 = (DataFormat.ROSBAG2, DataFormat.MCAP)
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,7 @@ class Variant:
         recorded_frame_rate: Rate of the fastest sensor that a frame rate thins, as recorded, Hz.
         recorded_seconds: Time from the first frame to the last of the whole recording, s. Both are None of a
             variant made before they were noted.
+        findings: What is known to be wrong with the dataset; it belongs to the dataset, not to the folder.
         key: Hash that identifies the variant; its folder's name.
         source_sha256: Hash of the recording that it was made from.
     """
@@ -73,6 +78,7 @@ class Variant:
     source_sha256: str
     recorded_frame_rate: float | None = None
     recorded_seconds: float | None = None
+    findings: tuple[OpenFinding, ...] = ()
 
     @property
     def told(self) -> Prepared:
@@ -84,6 +90,7 @@ class Variant:
             frames=self.frames,
             recorded_frame_rate=self.recorded_frame_rate,
             recorded_seconds=self.recorded_seconds,
+            findings=open_codes(self.findings, {sensor.name for sensor in self.sensors.values()}),
         )
 
     @property
@@ -175,6 +182,11 @@ def _identified(
     order = order_of(entry, roles, options, target, topics)
     sensors, wish = order.sensors, order.wish
     source = recording_sha256(entry, cache / ".hashes")
+    repairs = {
+        sensor.name: repair.model_dump(mode="json", by_alias=True, exclude_defaults=True)
+        for sensor in sensors.values()
+        if (repair := spec.topic_repairs.get(sensor.topic))
+    }
     key = digest(
         {
             "version": VERSION,
@@ -189,6 +201,8 @@ def _identified(
             "format": target,
         }
         | ({"topics": sorted(order.topics)} if order.topics else {})
+        | ({"repair": repairs} if repairs else {})
+        | ({"perturb": without_idle(wish.perturb.as_json())} if wish.perturb else {})
     )
     return order, source, key
 
@@ -212,6 +226,7 @@ def _describe(order: Order, path: Path, aside: Path, made: MadeRecording) -> Non
     offset = primary.time_offset
     description: dict[str, Any] = {
         "format": order.target,
+        "playable": True,
         "recording": path.name,
         "state": _state(path),
         "framesSha256": sha256_of(aside / FRAMES),
@@ -286,9 +301,12 @@ def _is_sound(folder: Path) -> bool:
     try:
         description = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))
         path = folder / description["recording"]
-        frames = description.get("framesSha256")
+        form, frames = DataFormat(description["format"]), description.get("framesSha256")
+        # Earlier versions left ROS 2's bags as they were recorded, without types or latched as it happened.
+        if form in _OF_ROS_2 and not description.get("playable"):
+            return False
         changed = frames is not None and sha256_of(folder / FRAMES) != frames
-        there = path.is_dir() if DataFormat(description["format"]).is_folder else bool(guess_format(path))
+        there = path.is_dir() if form.is_folder else bool(guess_format(path))
         return not changed and there and _state(path) == description["state"]
     except (OSError, ValueError, KeyError, InputError):
         return False

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from slamhive.data.recordings.reading import Recording, Scan
 
+    MessageChange = Callable[[int, bytes], bytes | bytearray | memoryview]
     Mask = npt.NDArray[np.bool_]
 
 MARGIN_SECONDS = 0.25
@@ -56,6 +57,7 @@ class MessageSelection:
         first: Header stamp of its first frame kept, ns.
         last: Header stamp of its last frame kept, ns.
         record_window: Record times of the first and last message kept of any sensor, ns.
+        changes: By topic, what becomes of a message of a number in the recording, as serialised.
     """
 
     streams: list[Stream]
@@ -65,6 +67,7 @@ class MessageSelection:
     first: int
     last: int
     record_window: tuple[int, int]
+    changes: Mapping[str, MessageChange] = field(default_factory=dict)
 
     def frames(self, stream: Stream) -> int:
         """Return the number of messages of a stream that are kept."""
@@ -160,6 +163,29 @@ def _asked_for(scan: Scan, bounds: tuple[int, int], recorded: tuple[int, int]) -
     times, (begin, end) = (scan.stamps, bounds) if stamped else (scan.times, recorded)
     margin = round(MARGIN_SECONDS * 1e9)
     return np.asarray((times >= begin - margin) & (times <= end + margin))
+
+
+def with_masks(selection: MessageSelection, masks: Mapping[str, Mask]) -> MessageSelection:
+    """Return a selection with other messages of some topics; camera_info goes with its images.
+
+    Args:
+        selection: What was chosen.
+        masks: By topic, what is kept of it, shape (n,); some of each.
+    """
+    masks = {**selection.masks, **masks}
+    for stream in selection.streams:
+        images = stream.follows or ""
+        if stream.kind is TopicKind.INFO and not np.array_equal(masks[images], selection.masks[images]):
+            kept = _info(selection.scans[stream.topic], selection.scans[images], masks[images])
+            masks[stream.topic] = selection.masks[stream.topic] & kept
+    leading = selection.scans[selection.primary.topic].stamps[masks[selection.primary.topic]]
+    return replace(selection, masks=masks, first=int(leading[0]), last=int(leading[-1]))
+
+
+def partners_of(selection: MessageSelection, leader: Stream, follower: Stream) -> npt.NDArray[np.intp]:
+    """Return the number of the follower's message that goes with each of a leader's, -1 where none does."""
+    stamps = selection.scans[leader.topic].stamps
+    return partners(stamps, selection.scans[follower.topic].stamps, _half_period(stamps))
 
 
 def complete_frames(selection: MessageSelection) -> MessageSelection:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from slamhive.data.recordings.reading import Recording
     from slamhive.data.recordings.streams import Stream
     from slamhive.model.algorithm import RecordingFormat
-    from slamhive.model.run import LidarInput
+    from slamhive.model.run import LidarInput, Perturbation
 
     Change = Callable[[bytes], bytes | memoryview]
 
@@ -38,6 +38,10 @@ class Changes(Protocol):
     @property
     def lidar(self) -> LidarInput | None:
         """Ranges and rings of LiDAR scans that are kept; None where all points are."""
+
+    @property
+    def perturb(self) -> Perturbation | None:
+        """Perturbation of the messages, and of what a folder says of its sensors."""
 
 
 def transfer(
@@ -65,7 +69,8 @@ def transfer(
     by_topic = {stream.topic: stream for stream in selection.streams}
     rules = {topic: _rule(recording, stream, changes) for topic, stream in by_topic.items()}
     first, last = selection.record_window
-    with RecordingWriter(recording, target, target_format) as writer:
+    once = [stream.topic for stream in selection.streams if stream.kind is TopicKind.STATIC]
+    with RecordingWriter(recording, target, target_format, once) as writer:
         for connection, time, raw in chosen_messages(recording, selection, progress):
             topic = connection.topic
             change = rules[topic]
@@ -80,6 +85,8 @@ def chosen_messages(
 ) -> Iterator[tuple[Connection, int, bytes]]:
     """Yield the messages that were chosen, in the order of the recording.
 
+    What is perturbed is so here, before anything else is done to a message.
+
     Args:
         recording: Where they come from.
         selection: The messages chosen.
@@ -88,14 +95,19 @@ def chosen_messages(
     seen = {stream.topic: 0 for stream in selection.streams}
     total, done = max(selection.size_bytes, 1), 0
     for number, message in enumerate(recording.messages(set(seen))):
-        connection, _, raw = message
+        connection, time, raw = message
         index = seen[connection.topic]
         seen[connection.topic] = index + 1
         done += len(raw)
         if progress and number % 64 == 0:
             progress(done / total)
-        if selection.masks[connection.topic][index]:
+        if not selection.masks[connection.topic][index]:
+            continue
+        change = selection.changes.get(connection.topic)
+        if change is None:
             yield message
+        else:
+            yield connection, time, bytes(change(index, raw))
 
 
 def _rule(recording: Recording, stream: Stream, changes: Changes) -> Change | None:

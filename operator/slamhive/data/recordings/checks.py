@@ -3,15 +3,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slamhive.data.recordings import kinds, samples
-from slamhive.data.recordings.clouds import cloud_points, point_times
 from slamhive.data.recordings.samples import SensorLook
 from slamhive.model.errors import DataError, suggestion
-from slamhive.model.sensors import TimesSince
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -19,13 +19,65 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.data.recordings.reading import Recording, Scan
-    from slamhive.model.sensors import Lidar, Sensor
+    from slamhive.model.sensors import Sensor
 
 _DAY = 86_400 * 10**9
-SAME_INSTANT = 0.3
-"""Share of a scan by which its points' times may lie elsewhere than they are said to."""
-LEAST_SCAN_SECONDS = 1e-3
-"""Seconds below which points are all of one instant."""
+_SCANS = 5
+"""Scans of a LiDAR that tell of its number of points."""
+_FEW_SAMPLES = 100
+
+
+@dataclass(frozen=True)
+class StampFault:
+    """A fault that no sensor's stamps can have.
+
+    Attributes:
+        kind: ``none`` (no messages), ``zero``, ``back`` or ``far``.
+        text: A sentence.
+        numbers: Messages that have it, from 0, shape (n,).
+        seconds: How far the stamps leap at most, s.
+    """
+
+    kind: str
+    text: str
+    numbers: npt.NDArray[np.intp]
+    seconds: float = 0.0
+
+
+def stamp_fault(stamps: npt.NDArray[np.int64]) -> StampFault | None:
+    """Return the fault of a sensor's stamps; None where they can be those of a sensor.
+
+    Args:
+        stamps: Of all messages, in the order of the recording, ns.
+    """
+    count = len(stamps)
+    zero = np.flatnonzero(stamps <= 0)
+    if not count:
+        return StampFault("none", "no messages", zero)
+    if zero.size:
+        which = "all stamps are" if zero.size == count else f"the stamp of message {zero[0] + 1} is"
+        what = f"{which} {stamps[zero[0]] / 1e9:g} s; the driver did not stamp the messages"
+        return StampFault("zero", what, zero)
+    steps = np.diff(stamps)
+    back = np.flatnonzero(steps < 0)
+    if back.size:
+        # Stamps that had gone on would be a step later.
+        k, by = int(back[0]), float((np.median(steps) - steps.min()) / 1e9)
+        many = f"{back.size} times in all, by {by:.3g} s at most" if back.size > 1 else f"back by {by:.3g} s"
+        what = (
+            f"stamps must not decrease, but message {k + 2} of {count} is stamped "
+            f"{seconds_text(stamps[k + 1])}, after {seconds_text(stamps[k])} ({many})"
+        )
+        return StampFault("back", what, back + 1, by)
+    far = np.flatnonzero(steps > _DAY)
+    if far.size:
+        k = int(far[0])
+        what = (
+            f"message {k + 2} of {count} is stamped {seconds_text(stamps[k + 1])}, "
+            f"{steps[k] / _DAY:.0f} days after the one before it"
+        )
+        return StampFault("far", what, far + 1, float(steps[k] / 1e9))
+    return None
 
 
 def check_stamps(scan: Scan, where: str) -> None:
@@ -38,31 +90,10 @@ def check_stamps(scan: Scan, where: str) -> None:
     Raises:
         DataError: A stamp is zero, goes back, or is more than a day from the one before it.
     """
-    stamps = scan.stamps
-    if not len(stamps):
-        raise DataError(f"{where}: no messages")
-    wrong = np.flatnonzero(stamps <= 0)
-    if wrong.size:
-        which = "all stamps are" if wrong.size == len(stamps) else f"the stamp of message {wrong[0] + 1} is"
-        raise DataError(
-            f"{where}: {which} {stamps[wrong[0]] / 1e9:g} s; the driver did not stamp the messages"
-        )
-    steps = np.diff(stamps)
-    back = np.flatnonzero(steps < 0)
-    if back.size:
-        k = int(back[0])
-        raise DataError(
-            f"{where}: stamps must not decrease, but message {k + 2} of {len(stamps)} is stamped "
-            f"{seconds_text(stamps[k + 1])}, after {seconds_text(stamps[k])}"
-            + (f" ({back.size} times in all)" if back.size > 1 else "")
-        )
-    jump = np.flatnonzero(steps > _DAY)
-    if jump.size:
-        k = int(jump[0])
-        raise DataError(
-            f"{where}: message {k + 2} of {len(stamps)} is stamped {seconds_text(stamps[k + 1])}, "
-            f"{steps[k] / _DAY:.0f} days after the one before it"
-        )
+    fault = stamp_fault(scan.stamps)
+    if fault is not None:
+        helps = "" if fault.kind == "none" else "; slamhive dataset check says which repair helps"
+        raise DataError(f"{where}: {fault.text}{helps}")
 
 
 def seconds_text(nanoseconds: int) -> str:
@@ -168,55 +199,17 @@ def _cloud(look: SensorLook) -> str:
         errors.append(
             f"{where}: points on {sensor.topic} have no field {missing[0]!r}{suggestion('', names)}"
         )
-    if not missing and lidar is not None and lidar.time_field in names:
-        _check_times(look, cloud_points(message, where), lidar)
-    size = f"{message.width}×{message.height}" if message.height > 1 else f"{message.width}"
+    # The first scan of a recording may be half a one.
+    widths = [one.width for one in look.recording.some(sensor.topic, _SCANS) if one.height == message.height]
+    width = sorted(widths)[len(widths) // 2]
+    size = f"{width}×{message.height}" if message.height > 1 else f"{width}"
     return f"{size} points with {', '.join(names)}"
 
 
-def _check_times(look: SensorLook, points: npt.NDArray[np.void], lidar: Lidar) -> None:
-    """Warn where the times of a scan's points lie elsewhere than its stamp, as declared, lets them."""
-    header = look.first().header.stamp
-    found = point_times(points, str(lidar.time_field), header.sec * 10**9 + header.nanosec)
-    if found is None or look.sensor.stamp.share is None:
-        return
-    times, is_absolute = found
-    low, high = float(times.min()), float(times.max())
-    since = TimesSince.HEADER if is_absolute else lidar.times_since or TimesSince.HEADER
-    zero = look.sensor.stamp.share if since is TimesSince.HEADER else float(since is TimesSince.SCAN_END)
-    if high - low > LEAST_SCAN_SECONDS and abs(-low / (high - low) - zero) > SAME_INSTANT:
-        look.warnings.append(
-            f"{look.where}: the times of points run from {low:.3g} to {high:.3g} s"
-            f"{' after the header stamp' if since is TimesSince.HEADER else ''}, but stamp is "
-            f"{look.sensor.stamp} and lidar.timesSince is {since}: correct the one that is wrong"
-        )
-
-
-_IMU_NUMBERS = 37
-"""float64 at the end of a sensor_msgs/Imu: orientation, rate and force, each with its covariance."""
-_STANDARD_GRAVITY = 9.80665
-
-
 def _imu(look: SensorLook) -> str:
-    sensor, where, errors, warnings = look.sensor, look.where, look.errors, look.warnings
-    tails = [raw[-8 * _IMU_NUMBERS :] for _, _, raw in look.recording.messages({sensor.topic})]
-    table = np.frombuffer(b"".join(tails), dtype="<f8").reshape(-1, _IMU_NUMBERS)
-    rate, force = table[:, 13:16], table[:, 25:28]
-    wrong = np.flatnonzero(~np.isfinite(np.hstack([rate, force])).all(axis=1))
-    if wrong.size:
-        errors.append(
-            f"{where}: message {wrong[0] + 1} of {len(table)} on {sensor.topic} has a rate or force that "
-            f"is not a "
-            f"finite number ({wrong.size} in all)"
-        )
-        return ""
-    typical = float(np.median(np.linalg.norm(force, axis=1)))
-    if not 0.8 < typical / _STANDARD_GRAVITY < 1.25:
-        hint = "; it looks like units of g" if 0.8 < typical < 1.25 else ""
-        warnings.append(
-            f"{where}: the specific force is {typical:.3g} m/s² typically, about 9.8 is expected{hint}"
-        )
-    return f"{typical:.2f} m/s² typically"
+    messages = islice(look.messages(), _FEW_SAMPLES)
+    forces = [(one.x, one.y, one.z) for one in (message.linear_acceleration for message in messages)]
+    return f"{np.median(np.linalg.norm(forces, axis=1)):.2f} m/s² at the beginning"
 
 
 _CONTENTS: dict[str, Callable[[SensorLook], str]] = {

@@ -74,6 +74,8 @@ def dataset_sha256(entry: DatasetEntry, cache: Path | None = None) -> str:
             for path in (truth.file, truth.times)
             if path
         ]
+    if spec.repair is not None:
+        parts["repair"] = spec.repair.model_dump(mode="json", by_alias=True, exclude_defaults=True)
     return digest(parts)
 
 
@@ -119,9 +121,19 @@ def check_sums(entry: DatasetEntry, cache: Path | None = None) -> None:
             )
 
 
+def state_of(path: Path) -> list[Any]:
+    """Return a file's place, size, time of change and inode: as long as they stay, so does its content.
+
+    Raises:
+        OSError: It can't be looked at.
+    """
+    place = path.resolve()
+    state = place.stat()
+    return [str(place), state.st_size, str(state.st_mtime_ns), state.st_ino]
+
+
 def _remembered(path: Path, cache: Path | None) -> str:
-    state = path.stat()
-    key = digest([str(path), state.st_size, str(state.st_mtime_ns), state.st_ino])
+    key = digest(state_of(path))
     note = cache / key if cache else None
     if note is not None and note.is_file():
         known = note.read_text(encoding="ascii").strip()
@@ -130,11 +142,11 @@ def _remembered(path: Path, cache: Path | None) -> str:
     with path.open("rb") as file:
         found = hashlib.file_digest(file, "sha256").hexdigest()
     if note is not None:
-        _remember(note, found)
+        remember(note, found)
     return found
 
 
-def _remember(note: Path, found: str) -> None:
+def remember(note: Path, found: str) -> None:
     """Keep a hash for the next time; where the disk refuses, it is computed again then."""
     # Process ids are the same in many pods, which may share the folder.
     aside = note.with_name(f"{note.name}.{os.urandom(6).hex()}")

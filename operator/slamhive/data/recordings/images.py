@@ -137,14 +137,17 @@ def scale_image(message: Any, scale: float, *, depth: bool, where: str) -> Any:
     Raises:
         DataError: Its encoding can't be scaled, or it is damaged.
     """
-    pixels = image_pixels(message, where)
-    scaled = resize(pixels, scale, nearest=depth)
-    rows = scaled.view(np.uint8).reshape(len(scaled), -1)
+    return with_pixels(message, resize(image_pixels(message, where), scale, nearest=depth))
+
+
+def with_pixels(message: Any, pixels: npt.NDArray[Any]) -> Any:
+    """Return a sensor_msgs/Image with other pixels, as `image_pixels` returns them: Bayer data as colours."""
+    rows = pixels.view(np.uint8).reshape(len(pixels), -1)
     return replace(
         message,
         encoding=_scaled_encoding(message.encoding),
-        height=scaled.shape[0],
-        width=scaled.shape[1],
+        height=pixels.shape[0],
+        width=pixels.shape[1],
         step=rows.shape[1],
         is_bigendian=type(message.is_bigendian)(0),
         data=rows.reshape(-1),
@@ -199,11 +202,16 @@ def scale_compressed(message: Any, scale: float, *, depth: bool, where: str) -> 
         stored = resize(_stored_depth(message, where), scale, nearest=True)
         head, described = message.data[: _DEPTH_HEAD.size], f"{depth_encoding(message)}; compressedDepth png"
     else:
-        stored = resize(compressed_pixels(message, where), scale, nearest=depth)
-        head = np.empty(0, dtype=np.uint8)
-        described = message.format.split(";")[0] + "; png compressed" if ";" in message.format else "png"
+        return compressed_anew(message, resize(compressed_pixels(message, where), scale, nearest=depth))
     encoded = cv2.imencode(".png", stored, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
     return replace(message, format=described, data=np.concatenate((head, encoded.reshape(-1))))
+
+
+def compressed_anew(message: Any, pixels: npt.NDArray[Any]) -> Any:
+    """Return a sensor_msgs/CompressedImage with other pixels, compressed without loss (PNG)."""
+    described = message.format.split(";")[0] + "; png compressed" if ";" in message.format else "png"
+    encoded = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
+    return replace(message, format=described, data=encoded.reshape(-1))
 
 
 def compressed_pixels(message: Any, where: str) -> npt.NDArray[Any]:

@@ -1,30 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses that a recording carries: pose, odometry and transform topics, and frames of /tf."""
+"""Poses that a recording carries: topics of poses, points, paths and fixes, and frames of /tf."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import re
+from typing import TYPE_CHECKING, Any
 
 from slamhive.data.recordings.reading import TF_TYPES
 from slamhive.data.recordings.streams import STATIC_TRANSFORMS
 from slamhive.model.errors import DataError, suggestion
 from slamhive_eval import EvaluationError, Trajectory
-from slamhive_eval.formats.posemessages import Row, add_transforms, pose_row, read_poses
+from slamhive_eval.formats.posemessages import (
+    PATH,
+    READERS,
+    Row,
+    add_transforms,
+    pose_row,
+    read_poses,
+    seconds,
+)
 from slamhive_eval.formats.transforms import Frames
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     import numpy as np
     import numpy.typing as npt
 
     from slamhive.data.recordings.reading import Recording
 
-POSE_TYPES = (
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "geometry_msgs/msg/TransformStamped",
-    "nav_msgs/msg/Odometry",
-)
-"""Messages that carry one stamped pose."""
+POSE_TYPES = tuple(READERS)
+"""Messages that carry stamped poses, or positions alone."""
+TRUTH_NAME = re.compile(r"ground_?truth|(^|/)gt(/|_|$)|vicon|mocap|optitrack|vrpn", re.IGNORECASE)
+"""Names by which topics and files are known for ground truth."""
 
 
 def truth_topic(topic: str | None) -> str | None:
@@ -37,11 +45,11 @@ def poses_of_topic(recording: Recording, topic: str) -> Trajectory:
 
     Args:
         recording: The recording.
-        topic: A topic with stamped poses, or ``TOPIC:PARENT.CHILD`` for the pose of the frame CHILD in the
-            frame PARENT by the transforms of a topic; one transform between them may move.
+        topic: A topic with messages of POSE_TYPES, or ``TOPIC:PARENT.CHILD`` for the pose of the frame CHILD
+            in the frame PARENT by the transforms of a topic; one transform between them may move.
 
     Returns:
-        Poses by their header stamps, s.
+        Poses by their header stamps, s; positions alone of points and fixes.
 
     Raises:
         DataError: There is no such topic or frame, it carries no poses, or they are no trajectory.
@@ -51,9 +59,26 @@ def poses_of_topic(recording: Recording, topic: str) -> Trajectory:
     try:
         if kind in TF_TYPES:
             return _transforms(recording, topic)
+        if kind == PATH:
+            return read_poses(_paths(recording, name), kind)
         return read_poses((recording.decode(raw, kind) for _, _, raw in recording.messages({name})), kind)
     except EvaluationError as error:
         raise DataError(f"{_where(recording, topic)}: {error}") from None
+
+
+def _paths(recording: Recording, name: str) -> Iterator[Any]:
+    """Yield the paths of a topic that count: of one that grows the last, as all are its square in poses."""
+    first, last = None, b""
+    for _, _, raw in recording.messages({name}):
+        first = first if first is not None and first.poses else recording.decode(raw, PATH)
+        last = raw
+    if first is None:
+        return
+    whole = recording.decode(last, PATH)
+    if whole.poses and seconds(whole.poses[0].header.stamp) <= seconds(first.poses[0].header.stamp):
+        yield whole
+    else:
+        yield from (recording.decode(raw, PATH) for _, _, raw in recording.messages({name}))
 
 
 def _where(recording: Recording, topic: str) -> str:

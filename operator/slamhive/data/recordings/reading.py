@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 import struct
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Self
@@ -16,6 +17,8 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from slamhive.data.files.damage import remedy
+from slamhive.data.recordings.kinds import POINT_CLOUD
+from slamhive.data.recordings.lidarformats import add_point_cloud, is_livox, livox_cloud, packets_text
 from slamhive.model.algorithm import RecordingFormat
 from slamhive.model.errors import DataError
 from slamhive_eval.formats.notices import NotDamagedError, Notice
@@ -33,7 +36,12 @@ if TYPE_CHECKING:
 
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
+LITTLE_ENDIAN, BIG_ENDIAN = b"\0\1", b"\0\0"
+"""First bytes of a message in plain CDR, by the order of its bytes (OMG RTPS 10.2)."""
+
 _HEADER = "std_msgs/msg/Header"
+_TYPE = re.compile(r"\w+/msg/\w+")
+_TRANSIENT_LOCAL = 1
 _PIECE = re.compile(r"(.+)_(\d+)\.(bag|db3|mcap)")
 """Names of the pieces of a split recording, as recorders of ROS 1 and ROS 2 number them."""
 _LATER = re.compile(r"_0*[1-9]\d*\.(db3|mcap)$")
@@ -90,6 +98,8 @@ class Recording:
     Args:
         paths: Its files, in any order.
         recording_format: How it is stored.
+        scans: Topics on which Livox's scans are read as PointCloud2; None: all that have them. To those that
+            ask for another topic its messages pass as they are.
 
     Attributes:
         topics: Its topics by name.
@@ -99,7 +109,9 @@ class Recording:
         DataError: It is missing, empty, truncated or of another format.
     """
 
-    def __init__(self, paths: Sequence[Path], recording_format: RecordingFormat) -> None:
+    def __init__(
+        self, paths: Sequence[Path], recording_format: RecordingFormat, scans: Collection[str] | None = None
+    ) -> None:
         self.paths = list(paths)
         self.format = recording_format
         for path in self.paths:
@@ -113,6 +125,7 @@ class Recording:
         except Exception as error:  # noqa: BLE001 - parsers raise anything on hostile bytes
             raise self._unreadable(error, indexed=False) from None
         try:
+            self._livox = self._livox_topics(scans)
             self.topics = self._topics()
             times = self._reader.pieces
             ordered = sorted(times, key=lambda piece: piece.start)
@@ -120,6 +133,7 @@ class Recording:
                 (before, after) for before, after in pairwise(ordered) if after.start < before.end - 1
             ]
             self.notices = [*self._reader.notices, *self._order(times, ordered), *self._neighbours()]
+            self.notices += self._formats()
         except BaseException:
             self._reader.close()
             raise
@@ -142,7 +156,48 @@ class Recording:
     @property
     def connections(self) -> list[Connection]:
         """Return the connections of the recording: a topic may have several."""
-        return self._reader.connections
+        return [self._shown(connection) for connection in self._reader.connections]
+
+    @property
+    def is_converted(self) -> bool:
+        """Tell whether some messages pass in another form than the files have them."""
+        return bool(self._livox)
+
+    @property
+    def foreign(self) -> dict[str, str]:
+        """Return topics that are left out, as their channels aren't ROS 2's, and what those are."""
+        return self._reader.foreign
+
+    @property
+    def is_playable(self) -> bool:
+        """Tell whether a program plays its files as they are that knows but CDR, and what is in them.
+
+        Each topic has one type, defined in the file, and messages in CDR of this machine's order; what has to
+        be latched is; and nothing is compressed, split over files, or said wrongly by the files.
+        """
+        if self.is_converted or len(self.paths) > 1 or self._reader.is_compressed:
+            return False
+        if any(notice.code.startswith("files.") for notice in self.notices):
+            return False
+        connections = self._reader.connections
+        if self.format is RecordingFormat.ROSBAG2 and not self.paths[0].is_dir():
+            return False
+        one_each = len(connections) == len(self.topics)
+        return one_each and all(map(self._is_plain, connections)) and self._is_whole()
+
+    def undefined(self, message_type: str) -> str | None:
+        """Return the type that has no definition: this one, or that of a field; None where all have one."""
+        from slamhive_eval.formats.rosreading import parts_of  # noqa: PLC0415 - as in `__init__`
+
+        waiting, seen = [message_type], {message_type}
+        while waiting:
+            name = waiting.pop()
+            definition = self.typestore.fielddefs.get(name)
+            if definition is None:
+                return name
+            waiting += [part for part in parts_of(definition) if part not in seen]
+            seen.update(waiting)
+        return None
 
     @property
     def start_ns(self) -> int:
@@ -167,7 +222,7 @@ class Recording:
         Raises:
             DataError: The recording breaks off or its content is damaged.
         """
-        chosen = [connection for connection in self.connections if connection.topic in topics]
+        chosen = [connection for connection in self._reader.connections if connection.topic in topics]
         if not chosen:
             return
         messages: Iterator[tuple[Connection, int, bytes]] = self._reader.messages(chosen, start, stop)
@@ -180,7 +235,7 @@ class Recording:
                 return
             except Exception as error:  # noqa: BLE001 - parsers raise anything on hostile bytes
                 raise self._unreadable(error, indexed=True) from None
-            yield item
+            yield self._as_cloud(*item) if item[0].topic in self._livox else item
 
     def decode(self, raw: bytes, message_type: str) -> Any:
         """Decode a message.
@@ -205,6 +260,26 @@ class Recording:
             return self.decode(raw, connection.msgtype)
         raise DataError(f"{topic} in {self.label}: no messages")
 
+    def some(self, topic: str, number: int) -> list[Any]:
+        """Return messages of a topic spread over the recording: the first, and up to so many in all.
+
+        Damaged ones are left out but for the first.
+
+        Raises:
+            DataError: There is none, or the first is damaged.
+        """
+        found = [self.first(topic)]
+        last = None
+        for k in range(1, number):
+            start = self.start_ns + round(1e9 * self.seconds * k / number)
+            with suppress(DataError):
+                for connection, time, raw in self.messages({topic}, start):
+                    if time != last:
+                        last = time
+                        found.append(self.decode(raw, connection.msgtype))
+                    break
+        return found
+
     def encode(self, message: Any, message_type: str) -> memoryview:
         """Encode a message as the recording does it."""
         if self.is_ros2:
@@ -227,6 +302,7 @@ class Recording:
         topics: Collection[str],
         progress: Callable[[float], None] | None = None,
         see: Callable[[Connection, int, int, int, bytes], None] | None = None,
+        messages: Iterable[tuple[Connection, int, bytes]] | None = None,
     ) -> dict[str, Scan]:
         """Read the times of all messages of some topics.
 
@@ -235,6 +311,7 @@ class Recording:
             progress: Called with the share of the messages that are read, 0 to 1, now and then.
             see: Called with each message: its connection, its number on the topic from 0, its record time and
                 stamp (ns), and its bytes.
+            messages: Those that are read; None for all.
 
         Raises:
             DataError: The recording is damaged.
@@ -244,7 +321,8 @@ class Recording:
         stamps: dict[str, list[int]] = {name: [] for name in topics}
         sizes = dict.fromkeys(topics, 0)
         total = max(1, sum(self.topics[name].count for name in topics))
-        for number, (connection, time, raw) in enumerate(self.messages(topics)):
+        passing = self.messages(topics) if messages is None else messages
+        for number, (connection, time, raw) in enumerate(passing):
             name = connection.topic
             reader = readers[name]
             times[name].append(time)
@@ -274,6 +352,62 @@ class Recording:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _is_whole(self) -> bool:
+        """Tell whether a plain reader finds all messages in order: it believes indexes and summaries."""
+        from rosbags.rosbag2 import Reader  # noqa: PLC0415 - as in `__init__`
+
+        with suppress(Exception), Reader(self.paths[0]) as reader:
+            storage: Any = reader.storage
+            files = getattr(storage, "storages", [storage])
+            # Without an index an MCAP file's messages are read as they lie.
+            indexed = all(getattr(one, "chunks", True) for one in files)
+            return indexed and bool(
+                reader.message_count == sum(topic.count for topic in self.topics.values())
+            )
+        return False
+
+    def _is_plain(self, connection: Connection) -> bool:
+        if connection.msgdef.format.name != "MSG" or not _TYPE.fullmatch(connection.msgtype):
+            return False
+        if connection.topic == "/tf_static" and not is_latched(connection):
+            return False
+        first = next(self.messages({connection.topic}), None)
+        return first is None or bytes(first[2][:2]) == LITTLE_ENDIAN
+
+    def _livox_topics(self, scans: Collection[str] | None) -> set[str]:
+        """Return the topics whose messages pass as PointCloud2."""
+        found = {
+            connection.topic
+            for connection in self._reader.connections
+            if (scans is None or connection.topic in scans) and is_livox(connection.msgtype, self.typestore)
+        }
+        if found:
+            add_point_cloud(self.typestore, is_ros2=self.is_ros2)
+        return found
+
+    def _shown(self, connection: Connection) -> Connection:
+        return connection._replace(msgtype=POINT_CLOUD) if connection.topic in self._livox else connection
+
+    def _as_cloud(self, connection: Connection, time: int, raw: bytes) -> tuple[Connection, int, bytes]:
+        try:
+            cloud = livox_cloud(raw, self.typestore, is_ros2=self.is_ros2)
+        except DataError as error:
+            raise DataError(f"{self.label}: {connection.topic}: {error}") from None
+        return self._shown(connection), time, cloud
+
+    def _formats(self) -> Iterator[Notice]:
+        """Yield notices of LiDAR scans in messages of their makers."""
+        for name in sorted(self._livox):
+            yield Notice(
+                "points.format",
+                f"{name} has scans as Livox's CustomMsg; they are read, and given to algorithms, as "
+                "PointCloud2 with the time of points in offset_time",
+            )
+        for topic in self.topics.values():
+            text = packets_text(topic.name, topic.message_type)
+            if text is not None:
+                yield Notice("points.format", text, topic.count)
 
     def _topics(self) -> dict[str, Topic]:
         topics: dict[str, Topic] = {}
@@ -341,6 +475,14 @@ class Recording:
         return DataError(f"{self.label}: can't be read as {self.format} ({_said(error)}): {'; '.join(hints)}")
 
 
+def is_latched(connection: Connection) -> bool:
+    """Tell whether a topic was recorded as one whose last message who comes later gets too."""
+    offered = getattr(connection.ext, "offered_qos_profiles", None)
+    if offered is None:  # of ROS 1
+        return bool(connection.ext.latching)  # type: ignore[union-attr]
+    return any(one.durability.value == _TRANSIENT_LOCAL for one in offered)
+
+
 def recording_paths(dataset: Dataset, root: Path) -> list[Path]:
     """Return the files of a dataset's recording.
 
@@ -351,19 +493,6 @@ def recording_paths(dataset: Dataset, root: Path) -> list[Path]:
     if not files:
         raise DataError(f"dataset {dataset.name!r}: its synthetic recording was not made yet")
     return [root / file.path for file in files]
-
-
-def open_recording(dataset: Dataset, root: Path) -> Recording:
-    """Open the recording of a dataset.
-
-    Args:
-        dataset: The dataset.
-        root: The folder that its paths start from.
-
-    Raises:
-        DataError: It is missing, empty, truncated or of another format.
-    """
-    return Recording(recording_paths(dataset, root), dataset.spec.recording.format)
 
 
 def guess_format(path: Path) -> RecordingFormat:

@@ -29,8 +29,6 @@ _FAST, _SPINNING = 60.0, 10.0
 """Speeds that no robot's wheels have, m/s and rad/s."""
 _SAME_PATH = 1.25
 _EARTH_RADIUS = 6_371_000.0
-_LEAP = 100.0
-"""Speed between two fixes that is none of a vehicle, m/s."""
 _HEIGHTS = (-500.0, 10_000.0)
 _FIELD = (15e-6, 100e-6)
 """Strength of a magnetic field near the ground, 22 to 67 µT, with what a platform adds to it, T."""
@@ -242,10 +240,7 @@ def fixes(look: SensorLook) -> str:
     )
     lost = (table[:, 4] < 0) | ~np.isfinite(table[:, 1:3]).all(axis=1)
     if lost.all():
-        look.warn(f"none of the {len(table)} messages on {look.sensor.topic} has a fix")
         return "no fix"
-    if lost.any():
-        look.warn(f"{lost.sum()} of {len(table)} messages on {look.sensor.topic} have no fix")
     found = table[~lost]
     latitude, longitude = found[:, 1], found[:, 2]
     outside = np.flatnonzero((np.abs(latitude) > 90.0) | (np.abs(longitude) > 180.0))
@@ -261,7 +256,6 @@ def fixes(look: SensorLook) -> str:
     _heights(look, found[:, 3])
     north = _EARTH_RADIUS * np.radians(latitude - latitude[0])
     east = _EARTH_RADIUS * np.radians(longitude - longitude[0]) * np.cos(np.radians(latitude[0]))
-    _leaps(look, found[:, 0], np.hypot(np.diff(north), np.diff(east)))
     known = found[:, 5] > 0
     doubt = look.variances(found[known][:, 6:], "position_covariance") if known.any() else ""
     spread = float(np.hypot(north, east).max())
@@ -277,17 +271,6 @@ def _heights(look: SensorLook, heights: Array) -> None:
         look.warn(
             f"the altitude is {np.median(finite):.0f} m typically, about {_HEIGHTS[0]:.0f} to "
             f"{_HEIGHTS[1]:.0f} m is expected: it looks like millimetres"
-        )
-
-
-def _leaps(look: SensorLook, stamps: Array, steps: Array) -> None:
-    passed = np.diff(stamps)
-    leaps = np.flatnonzero((passed > 0) & (steps > _LEAP * passed) & (steps > _LEAP))
-    if leaps.size:
-        k = leaps[0]
-        look.warn(
-            f"fixes leap {leaps.size} time{'s' if leaps.size > 1 else ''}, first by {steps[k]:.0f} m in "
-            f"{passed[k]:.3g} s at {stamps[k]:.3f} s"
         )
 
 

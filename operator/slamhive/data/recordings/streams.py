@@ -15,7 +15,7 @@ from slamhive.model.sensors import FOLLOWS, Role, SensorType
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from slamhive.data.recordings.reading import Recording
+    from slamhive.data.recordings.reading import Recording, Topic
     from slamhive.model.configuration import SensorView
     from slamhive.model.sensors import Sensor
 
@@ -72,6 +72,12 @@ def check_topic(recording: Recording, name: str, sensor: Sensor) -> None:
     where = f"sensors.{name}.topic"
     topic = recording.topics.get(sensor.topic)
     allowed = KINDS[sensor.type].messages
+    if topic is None and sensor.topic in recording.foreign:
+        raise DataError(
+            f"{where}: {sensor.topic} in {recording.label} is no channel of ROS 2 "
+            f"({recording.foreign[sensor.topic]}): its type and its definition aren't known; record it as "
+            "ROS 2 does"
+        )
     if topic is None:
         fitting = [item.name for item in recording.topics.values() if item.message_type in allowed]
         raise DataError(
@@ -85,6 +91,17 @@ def check_topic(recording: Recording, name: str, sensor: Sensor) -> None:
         )
     if topic.count == 0:
         raise DataError(f"{where}: {sensor.topic} has no messages in {recording.label}")
+    _check_defined(recording, topic, where)
+
+
+def _check_defined(recording: Recording, topic: Topic, where: str) -> None:
+    undefined = recording.undefined(topic.message_type)
+    if undefined is not None:
+        raise DataError(
+            f"{where}: {topic.name} in {recording.label} has messages of type {topic.message_type}, and "
+            f"there is no definition of {undefined} in it, as ROS 2 records them since Iron: play it on a "
+            "machine that has the package, and record it anew there"
+        )
 
 
 def sound_sensors(
@@ -173,6 +190,7 @@ def _asked_for(recording: Recording, name: str, truth_topic: str | None) -> Stre
         raise DataError(
             f"modes.topics: no topic {name!r} in {recording.label}{suggestion(name, recording.topics)}"
         )
+    _check_defined(recording, topic, "modes.topics")
     # What is said once holds for all of it, as a map does.
     return Stream(name, topic.message_type, TopicKind.STATIC if topic.count == 1 else TopicKind.TOPIC)
 

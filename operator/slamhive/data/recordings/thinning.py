@@ -33,10 +33,12 @@ def rate_of(stamps: Stamps) -> float | None:
         stamps: ns, increasing, shape (n,).
     """
     steps = np.diff(stamps)
-    steps = steps[steps > 0]
-    if not steps.size:
+    apart = steps[steps > 0]
+    if not apart.size:
         return None
-    regular = steps[steps <= _GAP * np.median(steps)]
+    # Messages of one stamp count, as they do where bursts of samples are stamped on arrival.
+    steps = steps[steps >= 0]
+    regular = steps[steps <= _GAP * np.median(apart)]
     if steps.size - regular.size <= _RARE * steps.size:
         steps = regular
     return float(1e9 * steps.size / steps.sum())

@@ -9,18 +9,17 @@ import sqlite3
 from typing import TYPE_CHECKING, Any, Self
 
 from rosbags.convert.converter import LATCH, is_same_wireformat, migrate_bytes
-from rosbags.interfaces import ConnectionExtRosbag1
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from slamhive.data.recordings.reading import TF_TYPES
-from slamhive.model.errors import SystemFault
+from slamhive.data.recordings.reading import BIG_ENDIAN, LITTLE_ENDIAN, TF_TYPES, is_latched
+from slamhive.model.errors import DataError, SystemFault
 from slamhive.model.formats import RecordingFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
     from pathlib import Path
     from types import TracebackType
 
@@ -37,13 +36,23 @@ class RecordingWriter:
         source: Where the messages come from.
         target: Path of the recording to make.
         target_format: How to store it.
+        lasting: Topics that are latched, beside those that the source has latched.
     """
 
-    def __init__(self, source: Recording, target: Path, target_format: RecordingFormat) -> None:
+    def __init__(
+        self,
+        source: Recording,
+        target: Path,
+        target_format: RecordingFormat,
+        lasting: Collection[str] = (),
+    ) -> None:
         self._source = source
         self._target = target
         self._is_ros2 = target_format is not RecordingFormat.ROSBAG1
         self._store = _target_store(source, is_ros2=self._is_ros2)
+        self._latched = {*lasting, *(one.topic for one in source.connections if is_latched(one))}
+        if self._is_ros2:  # tf2 asks for it, and gets nothing of a publisher that doesn't offer it
+            self._latched.add("/tf_static")
         self._connections: dict[tuple[str, str], Connection] = {}
         self._translators: dict[str, Callable[[bytes | memoryview], bytes | memoryview]] = {}
         self._cache: dict[str, object] = {}
@@ -104,10 +113,7 @@ class RecordingWriter:
         return self._connections[key]
 
     def _add(self, source: Connection, message_type: str) -> Connection:
-        if isinstance(source.ext, ConnectionExtRosbag1):
-            latched = bool(source.ext.latching)
-        else:
-            latched = any(profile.durability.value == 1 for profile in source.ext.offered_qos_profiles)
+        latched = source.topic in self._latched
         if isinstance(self._writer, Writer2):
             profiles = LATCH if latched else []
             return self._writer.add_connection(
@@ -121,10 +127,12 @@ class RecordingWriter:
         source, target = self._source.typestore, self._store
         name = _TYPE_NAMES.get(message_type, message_type)
         if is_same_wireformat(source, target, message_type, name):
+            if self._source.is_ros2 and self._is_ros2:
+                return lambda raw: self._little(raw, message_type)
             if self._source.is_ros2 == self._is_ros2:
                 return lambda raw: raw
             if self._source.is_ros2:
-                return lambda raw: source.cdr_to_ros1(raw, message_type)
+                return lambda raw: source.cdr_to_ros1(self._little(raw, message_type), message_type)
             return lambda raw: target.ros1_to_cdr(raw, name)
 
         def migrate(raw: bytes | memoryview) -> memoryview:
@@ -134,6 +142,22 @@ class RecordingWriter:
             )  # fmt: skip
 
         return migrate
+
+    def _little(self, raw: bytes | memoryview, message_type: str) -> bytes | memoryview:
+        """Return a message of ROS 2 in the order of bytes that this machine has.
+
+        Raises:
+            DataError: It isn't in CDR of XCDR version 1, which is what ROS 2 writes.
+        """
+        begin = bytes(raw[:2])
+        if begin == LITTLE_ENDIAN:
+            return raw
+        if begin != BIG_ENDIAN:
+            raise DataError(
+                f"{self._source.label}: a message of type {message_type} begins with {begin.hex(' ')}; "
+                "messages of ROS 2 begin with 00 01 or 00 00 (CDR)"
+            )
+        return self._source.encode(self._source.decode(bytes(raw), message_type), message_type)
 
 
 class _storing:  # noqa: N801 - reads as a statement; entered for every message

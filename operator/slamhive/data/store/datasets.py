@@ -41,9 +41,11 @@ __all__ = [
     "dataset_sha256",
     "downloads_of",
     "file_sha256",
+    "files_of",
     "ground_truth",
     "is_made",
     "made_folder",
+    "made_from",
     "materialise",
     "recording_sha256",
 ]
@@ -112,6 +114,13 @@ def made_folder(dataset: Dataset, datasets: Path) -> Path:
     return datasets / f"{dataset.name}-{key[:16]}"
 
 
+def made_from(dataset: Dataset, datasets: Path) -> str | None:
+    """Return the hash of what a dataset is generated or fetched by; None where its files are its own."""
+    if dataset.spec.recording.synthetic is None and not dataset.spec.is_to_fetch:
+        return None
+    return digest([made_folder(dataset, datasets).name, dataset.spec.as_json()])
+
+
 def _of_catalogue(dataset: Dataset, datasets: Path, progress: Callable[[float], None] | None) -> DatasetEntry:
     """Return a sequence of the catalogue under the name of a dataset, fetched if need be."""
     sequence = find_sequence(str(dataset.spec.catalogue))
@@ -135,7 +144,7 @@ def _of_catalogue(dataset: Dataset, datasets: Path, progress: Callable[[float], 
         license=declared.license or found.spec.license,
         attributes=found.spec.attributes | declared.attributes,
     )
-    return DatasetEntry(dataset.replace(spec=spec), folder / IMPORTED)
+    return DatasetEntry(_whole(dataset.replace(spec=spec)), folder / IMPORTED)
 
 
 def downloads_of(datasets: Path) -> Path:
@@ -169,7 +178,7 @@ def _gather(dataset: Dataset, root: Path, aside: Path, downloads: Path) -> None:
             fetch(file.url, fetched, file.sha256, f"dataset {dataset.name!r}")
             (aside / file.path).parent.mkdir(parents=True, exist_ok=True)
             fetched.replace(aside / file.path)
-    for relative in _paths(dataset):
+    for relative in files_of(dataset):
         link = aside / relative
         if not link.exists() and (root / relative).exists():
             link.parent.mkdir(parents=True, exist_ok=True)
@@ -187,7 +196,18 @@ def _with_files(dataset: Dataset, folder: Path) -> Dataset:
         gravity_aligned=dataset.spec.has_level_truth,
         attributes=dataset.spec.known_attributes,
     )
-    return dataset.replace(spec=spec)
+    return _whole(dataset.replace(spec=spec))
+
+
+def _whole(dataset: Dataset) -> Dataset:
+    """Return a dataset whose sensors are known now.
+
+    Raises:
+        InputError: Its repair is of others.
+    """
+    if misfit := dataset.spec.repair_misfit:
+        raise InputError(f"dataset {dataset.name!r}: {misfit}")
+    return dataset
 
 
 def _sensor(entry: dict[str, Any]) -> Sensor:
@@ -220,7 +240,7 @@ def add_dataset(dataset: Dataset, root: Path, datasets: Path) -> Path:
             f"slamhive dataset add --replace, or forget that one: slamhive dataset remove {dataset.name}"
         )
     fetched = {file.path for file in dataset.spec.recording.files if file.url}
-    for relative in _paths(dataset):
+    for relative in files_of(dataset):
         source, link = (root / relative).absolute(), folder / relative
         if not source.exists() and relative in fetched:
             continue
@@ -240,7 +260,8 @@ def add_dataset(dataset: Dataset, root: Path, datasets: Path) -> Path:
     return manifest
 
 
-def _paths(dataset: Dataset) -> list[str]:
+def files_of(dataset: Dataset) -> list[str]:
+    """Return the paths of all files that a dataset names, below its folder."""
     truth = dataset.spec.ground_truth
     paths = [file.path for file in dataset.spec.recording.files]
     return paths + ([path for path in (truth.file, truth.times) if path] if truth else [])

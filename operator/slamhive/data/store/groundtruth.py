@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ground truth as the evaluator reads it: TUM lines, positions, control points or relations.
 
-Whatever a dataset keeps it as, it is read and written for evaluators here.
+Whatever a dataset keeps it as, it is read, repaired and written for evaluators here.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,9 +14,9 @@ import numpy as np
 from slamhive.data.files.once import make_once
 from slamhive.data.recordings.entries import recording_sha256
 from slamhive.data.recordings.posetopics import poses_of_topic
-from slamhive.data.recordings.reading import open_recording
+from slamhive.data.recordings.reading import Recording, recording_paths
 from slamhive.model.canonical import digest
-from slamhive.model.dataset import TruthFormat
+from slamhive.model.dataset import TruthFormat, TruthTable
 from slamhive.model.errors import DataError
 from slamhive_eval import (
     ControlPoints,
@@ -38,12 +38,14 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.data.recordings.entries import DatasetEntry
-    from slamhive.model.dataset import GroundTruth
+    from slamhive.model.dataset import Dataset, GroundTruth
     from slamhive.model.variant import TruthKind
 
 VERSION = 1
 """Raised when conversion makes something else of the same input."""
 
+_POSES, _POSITIONS = "groundtruth.txt", "groundtruth.positions"
+"""Names of what is kept of a topic."""
 _KEPT = (TruthFormat.TUM, TruthFormat.RELATIONS)
 """Formats that evaluators read as they are."""
 
@@ -92,8 +94,10 @@ def ground_truth(entry: DatasetEntry, cache: Path | None = None) -> GroundTruthP
         poses = _read(entry, truth, cache)
     except EvaluationError as error:
         raise DataError(f"dataset {entry.name!r}: ground truth: {error}") from None
+    begin = truth_range(poses)[0]
     if isinstance(poses, Trajectory) and truth.holes:
         poses = _without_holes(poses, truth, entry.name)
+    poses = _repaired(poses, entry.dataset, begin)
     if isinstance(poses, Trajectory) and truth.format is TruthFormat.CONTROL_POINTS:
         return GroundTruthPoses(ControlPoints.of(poses), _frame(entry, truth))
     return GroundTruthPoses(poses, _frame(entry, truth))
@@ -121,7 +125,11 @@ def write_ground_truth(
         return
     spec = entry.dataset.spec.ground_truth
     source = _lines_of(entry, spec, cache)
-    if isinstance(truth.poses, Trajectory) and (spec is None or source is None):
+    repair = entry.dataset.spec.repair
+    is_moved = repair is not None and repair.ground_truth is not None
+    if isinstance(truth.poses, Trajectory) and (
+        spec is None or source is None or is_moved or truth.poses.nan_rows
+    ):
         write_tum(path, truth.poses)
         return
     try:
@@ -130,7 +138,33 @@ def write_ground_truth(
         raise DataError(f"dataset {entry.name!r}: ground truth: {error}") from None
     if isinstance(truth.poses, Trajectory) and spec is not None and spec.holes:
         text = "\n".join(line for line in text.split("\n") if not _lies_in_hole(line, spec))
+    if isinstance(truth.poses, Relations) and is_moved:
+        text = _with_times(text, truth.poses)
     path.write_text(text, encoding="utf-8")
+
+
+def _repaired(poses: Trajectory | Relations, dataset: Dataset, first: float) -> Trajectory | Relations:
+    """Return ground truth under the repair of its dataset; a drift counts from the time `first`, s."""
+    repair = dataset.spec.repair.ground_truth if dataset.spec.repair else None
+    if repair is None:
+        return poses
+
+    def moved(stamps: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        return stamps + (repair.shift or 0.0) + (stamps - first) * (repair.drift or 0.0)
+
+    if isinstance(poses, Relations):
+        return replace(poses, begin=moved(poses.begin), end=moved(poses.end))
+    return replace(poses, stamps=moved(poses.stamps))
+
+
+def _with_times(text: str, relations: Relations) -> str:
+    """Return lines of relations with other times; the rest keeps its digits."""
+    times = iter(zip(relations.begin.tolist(), relations.end.tolist(), strict=True))
+    lines = []
+    for line in text.split("\n"):
+        words = line.split("#", 1)[0].replace(",", " ").split()
+        lines.append(" ".join([*map(repr, next(times)), *words[2:]]) if words else line)
+    return "\n".join(lines)
 
 
 def _write_positions(truth: Trajectory | ControlPoints, path: Path) -> None:
@@ -223,21 +257,30 @@ def _read(entry: DatasetEntry, truth: GroundTruth, cache: Path | None) -> Trajec
 
 def _of_topic(entry: DatasetEntry, topic: str, cache: Path | None) -> Trajectory:
     if cache is not None:
-        return read_tum(_note_of_topic(entry, topic, cache))
-    with open_recording(entry.dataset, entry.root) as recording:
+        note = _note_of_topic(entry, topic, cache)
+        return read_columns(note, TruthTable().form) if note.name == _POSITIONS else read_tum(note)
+    # As recorded: its own repair is another than that of the sensors.
+    with Recording(
+        recording_paths(entry.dataset, entry.root), entry.dataset.spec.recording.format
+    ) as recording:
         return poses_of_topic(recording, topic)
 
 
 def _note_of_topic(entry: DatasetEntry, topic: str, cache: Path) -> Path:
-    """Return the file in which the poses of a topic are kept, made if need be."""
+    """Return the file in which the poses of a topic are kept, or positions alone, made if need be."""
     source = recording_sha256(entry, cache / ".hashes")
     folder = cache / digest({"version": VERSION, "source": source, "topic": topic})[:32]
 
     def make(aside: Path) -> None:
-        write_tum(aside / "groundtruth.txt", _of_topic(entry, topic, None))
+        poses = _of_topic(entry, topic, None)
+        if poses.oriented:
+            write_tum(aside / _POSES, poses)
+        else:
+            _write_positions(poses, aside / _POSITIONS)
 
     make_once(folder, make)
-    return folder / "groundtruth.txt"
+    positions = folder / _POSITIONS
+    return positions if positions.exists() else folder / _POSES
 
 
 def _without_holes(poses: Trajectory, truth: GroundTruth, name: str) -> Trajectory:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from slamhive.data.files.fetching import FetchProgress, WantedFile, fetch_file, one_at_a_time, require_sha256
+from slamhive.data.files.https import OfflineError
 from slamhive.data.files.partial import Partial, disk_words
 from slamhive.data.files.publishing import publish
 from slamhive.data.files.remotezip import fetch_members
@@ -90,7 +91,7 @@ def obtain(
                 uses = {
                     title: stack.enter_context(_FileUse(shop.place(part)))
                     for title, part in sequence.parts.items()
-                    if part.url is not None  # what is fetched by hand stays, perhaps on a disk of others
+                    if not shop.is_by_hand(part)  # what the user put there stays, perhaps on a disk of others
                 }
                 try:
                     taken = {
@@ -150,24 +151,26 @@ def _take(shop: _Shop, title: str, part: Part, work: Path, *, keep_archive: bool
         try:
             _bring_out(shop, part, path, work)
         except DamagedArchiveError as error:
-            if again or part.manual is not None:
+            if again or shop.is_by_hand(part):
                 raise
             shop.listener.notify(f"{error}: fetched again")
             Partial(path).forget()
         except SystemFault:
             # Another process, which found it damaged, has removed it.
-            if again or part.manual is not None or path.exists():
+            if again or shop.is_by_hand(part) or path.exists():
                 raise
         else:
             break
-    if part.manual is None and title in shop.sequence.shared and path.suffix != ".part" and not keep_archive:
+    if shop.is_by_hand(part):
+        return None
+    if title in shop.sequence.shared and path.suffix != ".part" and not keep_archive:
         megabytes = path.stat().st_size / 1e6
         size = f"{megabytes / 1e3:.1f} GB" if megabytes > 1e3 else f"{megabytes:.0f} MB"
         shop.listener.notify(
             f"{part.name}, {size}, stays, as other sequences come from it; slamhive gc --all removes it"
         )
         return None
-    return None if part.manual is not None else path
+    return path
 
 
 def _bring_out(shop: _Shop, part: Part, path: Path, work: Path) -> None:
@@ -267,10 +270,17 @@ class _Shop:
             "then give the same command again"
         )
 
+    def is_by_hand(self, part: Part) -> bool:
+        """Tell whether a part's file has to be put here by hand, or was: then it is the user's."""
+        return part.url is None or self._hand_place(part).exists()
+
+    def _hand_place(self, part: Part) -> Path:
+        return self._downloads / self.sequence.family.name / part.name
+
     def place(self, part: Part) -> Path:
         """Return the path of a part's file once it is here."""
-        if part.url is None:
-            return self._downloads / self.sequence.family.name / part.name
+        if self.is_by_hand(part):
+            return self._hand_place(part)
         return self._downloads / f"{digest(part.url)[:16]}-{part.name.rpartition('/')[2]}"
 
     def bring(self, title: str, part: Part) -> Path:
@@ -280,7 +290,7 @@ class _Shop:
             DataError: It isn't what the catalogue says.
             SystemFault: It can't be had right now.
         """
-        if part.manual is not None:
+        if self.is_by_hand(part):
             return self._by_hand(part)
         what = f"{self.sequence.title}: {part.name}"
         urls = [str(part.url), *part.mirrors]
@@ -305,6 +315,11 @@ class _Shop:
                 return partly
         try:
             found = fetch_file(wanted, place, progress)
+        except OfflineError as error:
+            raise OfflineError(
+                f"{error}; where a browser gets it, put {part.name} into {self._hand_place(part).parent} and "
+                "give the same command again"
+            ) from None
         except DataError as error:
             if known is not None and part.sha256 is None and known in str(error):
                 raise DataError(
@@ -327,7 +342,8 @@ class _Shop:
         size = path.stat().st_size
         if part.size is not None and size != part.size:
             raise DataError(
-                f"{path}: has {size:,} bytes, expected {part.size:,}: fetch it again at {part.manual}"
+                f"{path}: has {size:,} bytes, expected {part.size:,}: fetch it again at "
+                f"{part.manual or part.url}"
             )
         if part.sha256 is not None:
             require_sha256(path, part.sha256, str(path))

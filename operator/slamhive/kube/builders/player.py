@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The player in a run's pod, for algorithms that are ROS 1 nodes."""
+"""The player in a run's pod, for algorithms that are ROS nodes."""
 
 from __future__ import annotations
 
@@ -14,9 +14,16 @@ from slamhive.kube.builders.common import (
     segment,
     variables,
 )
-from slamhive.kube.builders.run import ALGORITHM, NO_COMPANION, Companion
+from slamhive.kube.builders.run import ALGORITHM, MEMORY, NO_COMPANION, SHARED_MEMORY, Companion
 from slamhive.model.errors import InputError
-from slamhive.playback.pod import COMMAND, FOLDER, NAME, player_pod
+from slamhive.playback.pod import (
+    COMMAND,
+    FOLDER,
+    NAME,
+    PLAYER_IMAGES,
+    player_pod,
+)
+from slamhive.playback.protocol import LEAST_SHARED_MEMORY
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -36,7 +43,6 @@ def player(
     configuration: RunConfiguration,
     description: Mapping[str, Any],
     settings: Settings,
-    image: str | None,
 ) -> Companion:
     """Return the additions of a player to a run's pod: none where the algorithm needs none.
 
@@ -46,7 +52,6 @@ def player(
         configuration: what the algorithm is told.
         description: what the preparation said of its variant.
         settings: the operator's.
-        image: the player's image.
 
     Raises:
         InputError: the algorithm needs a player and the operator has no image of it.
@@ -54,10 +59,11 @@ def player(
     pod = player_pod(algorithm.spec, configuration, ALGORITHM)
     if pod is None:
         return NO_COMPANION
+    image = settings.player_images[pod.ros]
     if image is None:
         raise InputError(
-            f"algorithm {algorithm.name!r} is a ROS 1 node, and the operator's setting playerImage names no "
-            "image that plays to it"
+            f"algorithm {algorithm.name!r} is a ROS {pod.ros} node, and the operator's setting "
+            f"{PLAYER_IMAGES[pod.ros].setting} names no image that plays to it"
         )
     folder = f"runs/{segment(run['metadata']['uid'], 'the uid')}/$(POD_UID)"
     variant = segment(description["folder"], "the variant's folder")
@@ -72,11 +78,15 @@ def player(
             mount("results", "/slamhive/output", subPathExpr=f"{folder}/output"),
             mount("player", FOLDER),
             mount("player-tmp", "/tmp"),  # noqa: S108
+            *([mount(MEMORY, SHARED_MEMORY)] if pod.meets_in_memory else ()),
         ],
         resources=_RESOURCES,
     )
     return Companion(
         init_containers=(body | {"restartPolicy": "Always", "startupProbe": pod.startup},),
         volumes=(scratch("player", _SCRATCH), scratch("player-tmp", _SCRATCH)),
+        mounts=(mount("player", FOLDER, read_only=True),) if pod.meets_in_memory else (),
         variables=pod.algorithm_variables,
+        arguments=pod.arguments,
+        least_memory=LEAST_SHARED_MEMORY if pod.meets_in_memory else 0,
     )

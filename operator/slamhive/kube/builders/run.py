@@ -54,6 +54,8 @@ _Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # ten times as fast whe
 ALGORITHM = "algorithm"
 MONITOR = "monitor"
 RENDER = "render"
+MEMORY, SHARED_MEMORY = "memory", "/dev/shm"  # noqa: S108
+"""The volume that the algorithm has as shared memory, and its place."""
 
 GRACE_SECONDS = 30
 _SPARE_SECONDS = 3600
@@ -75,7 +77,7 @@ done
 
 @dataclass(frozen=True)
 class Companion:
-    """Additions of a player to a run's pod: containers, volumes, mounts and variables.
+    """Additions of a player to a run's pod: containers, volumes, mounts, variables and arguments.
 
     Attributes:
         containers: containers beside the algorithm.
@@ -83,6 +85,8 @@ class Companion:
         volumes: volumes that they share.
         mounts: what the algorithm sees of those.
         variables: variables that the algorithm gets.
+        arguments: what is added to the algorithm's command.
+        least_memory: bytes that /dev/shm, the volume `MEMORY`, has at least.
     """
 
     containers: tuple[Manifest, ...] = ()
@@ -90,6 +94,8 @@ class Companion:
     volumes: tuple[Manifest, ...] = ()
     mounts: tuple[Manifest, ...] = ()
     variables: Mapping[str, str] = field(default_factory=dict)
+    arguments: tuple[str, ...] = ()
+    least_memory: int = 0
 
 
 NO_COMPANION = Companion()
@@ -178,7 +184,7 @@ def run_job(
         "activeDeadlineSeconds": math.ceil(seconds(spec["timeout"])) + _SPARE_SECONDS,
         "initContainers": [*_render(plan, settings), _monitor(plan, settings), *companion.init_containers],
         "containers": [_algorithm(plan, settings), *companion.containers],
-        "volumes": [*_volumes(spec, settings), *_render_volumes(plan), *companion.volumes],
+        "volumes": [*_volumes(plan, settings), *_render_volumes(plan), *companion.volumes],
     }
     # Part by part: those that the runs of a Sweep have in common are written once.
     parts = ({name: value} for name, value in configuration.as_json().items())
@@ -229,7 +235,7 @@ def _algorithm(plan: _AttemptInputs, settings: Settings) -> Manifest:
         ALGORITHM,
         algorithm.image,
         settings.image_pull_policy,
-        command=algorithm.command,
+        command=[*algorithm.command, *companion.arguments],
         env=[from_field("POD_UID", "metadata.uid"), *variables(values)],
         mounts=[
             mount("configuration", "/slamhive/config.yaml", read_only=True, subPath="config.yaml"),
@@ -238,7 +244,7 @@ def _algorithm(plan: _AttemptInputs, settings: Settings) -> Manifest:
             *_assets(algorithm),
             *_settings_files(plan),
             mount("tmp", "/tmp"),  # noqa: S108
-            mount("memory", "/dev/shm"),  # noqa: S108
+            mount(MEMORY, SHARED_MEMORY),
             *companion.mounts,
         ],
         resources=equal_resources(wanted["cpu"], wanted["memory"], logs=_LOGS, extra=gpus),
@@ -349,14 +355,14 @@ def _monitor(plan: _AttemptInputs, settings: Settings) -> Manifest:
     return body | {"restartPolicy": "Always", "lifecycle": {"postStart": watches}}
 
 
-def _volumes(spec: Mapping[str, Any], settings: Settings) -> list[Manifest]:
-    half = int(quantity(spec["resources"]["memory"]) / 2)
+def _volumes(plan: _AttemptInputs, settings: Settings) -> list[Manifest]:
+    half = int(quantity(plan.spec["resources"]["memory"]) / 2)
     return [
         downward("configuration", label("configuration"), "config.yaml"),
         claim("results", settings.volumes.results.claim),
         # A variant that is gone must not become an empty folder.
         claim("data", settings.volumes.data.claim, read_only=True),
         scratch("tmp", _SCRATCH),
-        # What is written there counts as the algorithm's memory, as it does on a workstation.
-        scratch("memory", str(half), memory=True),
+        # What is written there counts as the memory of who writes it, as it does on a workstation.
+        scratch(MEMORY, str(max(half, plan.companion.least_memory)), memory=True),
     ]

@@ -24,7 +24,7 @@ from slamhive.kube.builders.request import KEPT_SECONDS, REQUEST, TMP, module, r
 from slamhive.model.base import ObjectMeta, seconds
 from slamhive.model.canonical import digest, normalize
 from slamhive.model.catalogue import FOLDERS
-from slamhive.model.run import InputOptions
+from slamhive.model.run import InputOptions, essential
 from slamhive.model.sensors import SensorMode
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 PREPARE = "prepare"
 _PROSE = ("description", "homepage", "license", "attributes")
-_MATTERS = ("frameRate", "resolution", "start", "duration", "lidar", "remap")
+_MATTERS = ("frameRate", "resolution", "start", "duration", "lidar", "perturb", "remap")
 _HASH_LENGTH = 20
 _SCRATCH = "2Gi"
 _CATALOGUE, _CERTIFICATES = "/slamhive/catalogue", "/slamhive/certificates"
@@ -100,7 +100,7 @@ def variant_request(dataset: Dataset, algorithm: Algorithm, spec: Mapping[str, A
 
 def _input(options: InputOptions) -> Manifest:
     """Return the options that change what a recording is."""
-    body = options.model_dump(mode="json", by_alias=True, exclude_none=True, exclude_defaults=True)
+    body = essential(options.model_dump(mode="json", by_alias=True, exclude_none=True, exclude_defaults=True))
     return {key: body[key] for key in _MATTERS if body.get(key)}
 
 

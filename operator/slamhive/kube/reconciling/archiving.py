@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from slamhive.archive import CatalogEntry
+from slamhive.archive.remarks import Remarks
 from slamhive.contract.settled import FILES, is_settled
 from slamhive.kube.api.errors import Conflict
 from slamhive.kube.api.kinds import Key, Kind, Object, annotations_of, key_of
@@ -125,7 +126,8 @@ class Keeper:
             kept.versions.clear()  # they are looked up again
         uid = run["metadata"]["uid"]
         known = None if uid in kept.versions else await in_thread(self._archive.get, uid)
-        if known is not None and known.results == record_of(run).results:
+        said = known is not None and Remarks.of(known).covers(annotations_of(run))
+        if known is not None and said and known.results == record_of(run).results:
             kept.add(run)
         await self.keep(cluster, [run], EvaluationSettings(), kept)
 

@@ -15,10 +15,11 @@ from slamhive.kube.api.encoding import encode
 from slamhive.kube.api.errors import Invalid, NotFound
 from slamhive.kube.api.kinds import Key, Kind, Object, annotations_of, key_of
 from slamhive.kube.reconciling.evaluation_status import is_full, is_missing, problem_of, with_problem
+from slamhive.kube.reconciling.variants import described
 from slamhive.kube.status import condition, display, result_field, status_patch
 from slamhive.model.errors import SlamHiveError
 from slamhive.model.reported import problem_of_values
-from slamhive.model.results import Result
+from slamhive.model.results import Outcome, Result
 from slamhive.model.status import LIST_BYTES, MOST_RESULTS, MappingRunStatus
 
 if TYPE_CHECKING:
@@ -129,9 +130,14 @@ async def _take(cluster: Cluster, group: EvaluationGroup, record: Object) -> Non
     if problem is not None:
         await give_up(cluster, group, run, f"its result can't be kept: {problem}"[:1000])
         return
-    fresh = [condition("Evaluated", True, "Evaluated")]
-    await _update(cluster, key, record["uid"], fresh, result_field(result))
     spec = run["spec"]
+    why = ""
+    if result.outcome is Outcome.LOST:
+        dataset = Key(Kind.DATASET, group.key.namespace, spec["datasetRef"]["name"])
+        known = described(cluster, dataset, run["status"].get("variant") or "") or {}
+        why = known.get("suspicion") or ""
+    fresh = [condition("Evaluated", True, "Evaluated", why)]
+    await _update(cluster, key, record["uid"], fresh, result_field(result))
     cluster.metrics.record_result(
         spec["algorithmRef"]["name"], spec["datasetRef"]["name"], result_field(result)
     )

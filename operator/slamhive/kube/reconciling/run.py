@@ -287,7 +287,6 @@ class RunReconciler:
             configuration=told,
             description=description,
             settings=cluster.settings,
-            image=cluster.settings.player_image,
         )
         body = run_job(
             run=facts.body,
@@ -358,6 +357,7 @@ def _observed(facts: RunFacts, *, is_reusable: bool) -> RunObserved:
         end=attempted.end,
         number=attempted.number,
         wants_evaluation=spec["evaluate"],
+        suspicion=(facts.variant.description or {}).get("suspicion"),
     )
 
 

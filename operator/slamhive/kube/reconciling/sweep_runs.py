@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from slamhive.archive.remarks import NOTE, TAGS
 from slamhive.contract.settled import FILES, is_settled
 from slamhive.engine import PointState
 from slamhive.kube.api.kinds import MANAGER, Kind, Label, annotations_of, key_of, labels_of, reference
@@ -216,8 +217,15 @@ def _best_entry(run: Mapping[str, Any], result: Mapping[str, Any]) -> BestRun | 
 
 
 def _passed(given: Mapping[str, str] | None) -> dict[str, str]:
-    """Return labels or annotations of a template without those that are ours to set."""
-    return {key: value for key, value in (given or {}).items() if not key.startswith(OWN_PREFIX)}
+    """Return labels or annotations of a template without those that are ours to set.
+
+    A note and tags are the user's words.
+    """
+    return {
+        key: value
+        for key, value in (given or {}).items()
+        if key in {NOTE, TAGS} or not key.startswith(OWN_PREFIX)
+    }
 
 
 def encode_points(states: bytes | bytearray) -> str:

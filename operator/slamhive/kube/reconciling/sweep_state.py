@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from slamhive.archive import SweepRecord
 from slamhive.engine import PointState
 from slamhive.kube.api.encoding import encode
+from slamhive.kube.api.kinds import annotations_of
 from slamhive.kube.reconciling.archiving import KeptRuns, in_thread
 from slamhive.kube.reconciling.sweep_runs import Finished, SweepTally, decode_points, point_of
 from slamhive.kube.status import moment
@@ -193,8 +194,9 @@ def _recall(
     without = set(present)
     for run, point in archive.finished(uid).items():
         if run in present:
-            # What was measured of it later than it was archived is still to be written there.
-            if len(present[run]["status"].get("results") or ()) == point.results:
+            # What was measured or said of it later than it was archived is still to be written there.
+            said = point.remarks.covers(annotations_of(present[run]))
+            if said and len(present[run]["status"].get("results") or ()) == point.results:
                 memory.kept.add(present[run])
         elif point.index is not None and point.index < len(memory.states):
             # A run that was deleted and is done again counts once.

@@ -11,6 +11,15 @@ if TYPE_CHECKING:
     from slamhive.archive import Archive
 
 
+def current_uid(uid: str) -> str:
+    """Return the UID that the current version of a run has: not that of one that was set aside or merged.
+
+    >>> current_uid("run-1@0a1b2c3d.2"), current_uid("run-1")
+    ('run-1', 'run-1')
+    """
+    return uid.partition("@")[0]
+
+
 def set_aside(archive: Archive, uid: str) -> None:
     """Give a run, record and folder, another identity, so that it stays beside the one that follows it.
 

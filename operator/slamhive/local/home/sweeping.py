@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from slamhive.model.base import require_name
 from slamhive.model.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ def rename_sweep(archive: Archive, old: str, new: str) -> int:
     meant = sweeps_meant(known, old)
     if any(one.namespace is not None or one.cluster is not None for one in meant):
         raise InputError(f"sweep {old!r} is a cluster's, which knows it by this name: it keeps it")
-    _require_name(new)
+    require_name(new, "NEW")
     here = [one for one in known if one.name == new and one.namespace is None and one.cluster is None]
     if here or archive.count(sweep=new):
         raise InputError(f"a sweep {new!r} is known already, and their runs would be mixed: choose another")
@@ -104,16 +105,3 @@ def require_own_name(archive: Archive, sweeps: Sequence[Sweep]) -> None:
                 f"sweep {sweep.name!r} was renamed to {now!r}: write that into its file (metadata.name), or "
                 f"take it back: slamhive sweep rename {now} {sweep.name}"
             )
-
-
-def _require_name(name: str) -> None:
-    from slamhive.model.sweep import Sweep  # noqa: PLC0415 - a list of sweeps needs no language
-
-    try:
-        Sweep.model_validate({"metadata": {"name": name}, "spec": {}})
-    except ValueError as error:
-        if "metadata.name" in str(error):
-            raise InputError(
-                f"{name!r} is no name of a sweep: small letters, digits, dashes and dots, beginning and "
-                "ending with a letter or digit"
-            ) from None

@@ -300,10 +300,14 @@ class _Surveyor:
             yield self._made(HomeFindKind.ASSETS, path, why, recent=False)
 
     def cache(self) -> Iterator[HomeFind]:
-        """Yield tables that the dashboard and the command keep to start faster."""
-        for path in sorted((self._home.path / "cache").glob("*.npz")):
-            if not path.name.startswith("."):
-                yield self._made(HomeFindKind.CACHE, path, "it makes large tables load faster", recent=False)
+        """Yield the files kept to start faster: large tables, and findings of recordings."""
+        for pattern, why in (
+            ("cache/*.npz", "it makes large tables load faster"),
+            ("findings/*.json", "it says what is wrong with a recording without reading it again"),
+        ):
+            for path in sorted(self._home.path.glob(pattern)):
+                if not path.name.startswith("."):
+                    yield self._made(HomeFindKind.CACHE, path, why, recent=False)
 
     def downloads(self) -> Iterator[HomeFind]:
         """Yield archives of datasets that were kept, and parts of others; what users put there is theirs."""
@@ -334,6 +338,7 @@ class _Surveyor:
         patterns = (
             ".*.sqlite.*.making*",
             "cache/.dashboard-*",
+            "findings/.*",
             "assets/.fetching-*",
             "datasets/*/.dataset.*",
         )
@@ -411,14 +416,15 @@ class _Surveyor:
 
     def _needed_environments(self, root: Path) -> tuple[set[str], str | None]:
         """Return the environments that the catalog needs, and why it may need others."""
-        environments, needed, doubt = Environments(root), set(), self._doubt()
+        environments, doubt = Environments(root), self._doubt()
+        needed: set[str] = set()
         for entry in self._workshop.algorithm_entries.values():
             program = entry.algorithm.spec.local
-            if program is not None and program.command is None:
-                if not (entry.folder / program.requirements).is_file():
-                    doubt = doubt or f"{program.requirements} of algorithm {entry.name} is missing"
-                    continue
-                with suppress(Unavailable):  # no interpreter here: what it was made for can't be run
-                    if (folder := environments.folder_of(entry)) is not None:
-                        needed.add(folder.name)
+            if program is None:
+                continue
+            if program.command is None and not (entry.folder / program.requirements).is_file():
+                doubt = doubt or f"{program.requirements} of algorithm {entry.name} is missing"
+                continue
+            with suppress(Unavailable):  # no interpreter here: what it was made for can't be run
+                needed.update(folder.name for folder in environments.folders_of(entry))
         return needed, doubt

@@ -2,7 +2,8 @@
 """Merging of another home into one's own: its runs with their results, sweeps, catalog and files.
 
 A run is the same where its UID, its content and the times at which it was made are the same. One that stands
-in both homes stays as it is here; what it was measured by there and not here is added. Where one evaluation
+in both homes stays as it is here; what it was measured by there and not here is added, and so are tags and a
+newer note. Where one evaluation
 says something else there, that is kept beside as ``EVALUATION@LABEL``. Another run of a UID that is taken
 here gets ``@`` and 8 digits of its content, as earlier versions have (`local.changes`).
 
@@ -27,10 +28,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from slamhive.archive import Archive
 from slamhive.archive.connection import file_of, open_engine, parse, reading, version_of, wrong_version
+from slamhive.archive.remarks import Remarks
 from slamhive.archive.schema import VERSION
 from slamhive.archive.upgrading import copy_database, upgrade
 from slamhive.contract.files import read_regular
 from slamhive.data.files.once import settle
+from slamhive.local.home.changes import current_uid
 from slamhive.local.home.extent import BLOCK_BYTES, DiskTally, Extent, below, total
 from slamhive.local.home.removed import remove, run_parts, write_whole
 from slamhive.model.base import quantity
@@ -113,6 +116,7 @@ class Merge:
         coming: runs that come.
         known: number of runs that are here already.
         results: results that come for runs that are here, by UID here.
+        remarks: notes and tags that come for them, likewise.
         aside: sentences on what is kept beside, as something else stands here.
         without: number of coming runs whose files are not there.
         unread: files that could not be read, and were not copied.
@@ -122,6 +126,7 @@ class Merge:
     coming: list[Coming] = field(default_factory=list)
     known: int = 0
     results: list[tuple[str, Result]] = field(default_factory=list)
+    remarks: dict[str, Remarks] = field(default_factory=dict)
     aside: list[str] = field(default_factory=list)
     without: int = 0
     unread: list[str] = field(default_factory=list)
@@ -219,7 +224,13 @@ def merge(
         step(number)
     for uid, result in plan.results:
         archive.put_result(uid, result)
+    for uid, remarks in plan.remarks.items():
+        archive.annotate([uid], _joining(remarks))
     clear(home)
+
+
+def _joining(theirs: Remarks) -> Callable[[Remarks], Remarks]:
+    return lambda mine: mine.merged(theirs)
 
 
 def clear(home: Home) -> None:
@@ -335,6 +346,14 @@ class _Planner:
         return os.path.lexists(folder) and origin_of(folder) != _origin(self._origin, parts)
 
     def _compare(self, mine: RunRecord, record: RunRecord) -> None:
+        said, theirs = Remarks.of(mine), Remarks.of(record)
+        both = said.merged(theirs)
+        if not both.says_same(said):
+            self._found.remarks[mine.uid] = theirs
+            if said.note and both.note != said.note:
+                self._found.aside.append(
+                    f"run {mine.name}: a newer note there takes the place of “{said.note}”"
+                )
         have = {result.evaluation: result for result in mine.results}
         for result in record.results:
             known = have.get(result.evaluation)
@@ -368,7 +387,7 @@ def _origin(identity: str, parts: Parts) -> dict[str, str]:
 def _key(record: RunRecord) -> RunIdentity:
     moments = (moment.timestamp() if moment else None for moment in (record.created, record.finished))
     # Without the digits that an earlier merge gave it, or a second merge would bring the run once more.
-    return RunIdentity(record.uid.partition("@")[0], record.provenance.content_hash, *moments)
+    return RunIdentity(current_uid(record.uid), record.provenance.content_hash, *moments)
 
 
 def _free(name: str, digits: str, is_taken: Callable[[str], bool]) -> str:

@@ -22,6 +22,7 @@ _FOLDERS = {
     "assets": ("assets: files fetched for algorithms", _COLLECT),
     "truths": ("ground truth read from topics", _COLLECT),
     "downloads": ("downloads: archives of datasets, whole or in part", _COLLECT),
+    "findings": ("findings of recordings that were looked at", _COLLECT),
     "cache": ("tables kept for the next start", _COLLECT),
     "algorithms": ("algorithms", "slamhive algorithm remove"),
     "groundtruth": ("ground truth of imported runs", ""),

@@ -19,6 +19,7 @@ from slamhive.data.store.datasets import MANIFEST, made_folder
 from slamhive.local.home.catalog import load_workshop
 from slamhive.local.home.removed import remove, write_whole
 from slamhive.local.housekeeping.collecting import MADE, REMOVING
+from slamhive.model.base import require_name
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError, SlamHiveError, SystemFault, UnknownNameError
 from slamhive.model.loading import load_file
@@ -197,14 +198,7 @@ def require_free(home: Home, archive: Archive, new: str) -> None:
     Raises:
         InputError: it is taken, or no name.
     """
-    try:
-        Dataset.model_validate({"metadata": {"name": new}, "spec": {"recording": {"synthetic": {}}}})
-    except ValueError as error:
-        if "metadata.name" in str(error):
-            raise InputError(
-                f"{new!r} is no name of a dataset: small letters, digits, dashes and dots, beginning and "
-                "ending with a letter or digit"
-            ) from None
+    require_name(new, "NEW")
     if new in load_workshop(home).dataset_places or (home.path / "datasets" / new).exists():
         raise InputError(f"dataset {new!r} is known already: choose another name")
     count = archive.count({"dataset": new})

@@ -29,6 +29,7 @@ from slamhive.local.programs.containerwords import (
     RUN_LABEL,
     USER,
     ImageProgram,
+    PlayerBeside,
     create_words,
     player_words,
 )
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
     from slamhive.local.home.folder import Home
     from slamhive.local.programs.engines import ContainerChoice, Engine
     from slamhive.local.programs.prepared import AttemptOrder
+    from slamhive.playback.pod import PlayerPod
 
 _CREATED = "container.json"
 
@@ -97,8 +99,8 @@ class Containers:
         if spec.image is None:
             raise Unavailable("has no image")
         find_image(engine, spec.image)
-        if all(map(spec.plays, spec.paces)):
-            find_image(engine, player_image())
+        if spec.node is not None and all(map(spec.plays, spec.paces)):
+            find_image(engine, player_image(spec.node))
 
     def digest(self, entry: AlgorithmEntry) -> str:
         """Return the digest of an algorithm's image, as a cluster would know it.
@@ -134,7 +136,8 @@ class Containers:
         image = self._image(engine, spec.image or "", pull=True)
         if not spec.command and not image.program:
             raise Unavailable(f"image {spec.image!r} has no program of its own: spec.command must name one")
-        player = self._image(engine, player_image(), pull=True) if spec.plays(pace) else None
+        node = spec.plays(pace)
+        player = self._image(engine, player_image(node), pull=True) if node is not None else None
         return ContainerProgram(engine, image, self._label(engine), player)
 
     def fetch(self, entries: Iterable[AlgorithmEntry]) -> None:
@@ -252,10 +255,12 @@ class ContainerProgram(ImageProgram):
     def player(self, order: AttemptOrder, folder: Path) -> PreparedPlayer | None:
         """Create the container of a player; the program's shares its network and its processes, as in a pod.
 
+        With a node of ROS 2 it shares /dev/shm too.
+
         Raises:
             SystemFault: the engine doesn't.
         """
-        pod = player_pod(order.entry.algorithm.spec, order.configuration, ALGORITHM)
+        pod = _pod(order)
         if pod is None:
             return None
         if self.player_image is None:
@@ -276,7 +281,9 @@ class ContainerProgram(ImageProgram):
         Raises:
             SystemFault: the engine doesn't.
         """
-        words = create_words(self, order, folder, variables, _created(folder / "player"))
+        identity, pod = _created(folder / "player"), _pod(order)
+        beside = None if identity is None or pod is None else PlayerBeside(identity, pod)
+        words = create_words(self, order, folder, variables, beside)
         program = order.entry.algorithm.spec.command or self.image.program
         return self._create(words, folder, self.image) | {"argv": tuple(program), "cwd": RUN, "env": {}}
 
@@ -311,6 +318,10 @@ class ContainerProgram(ImageProgram):
             identity = _created(place)
             if identity is not None:
                 self.engine.remove(identity)
+
+
+def _pod(order: AttemptOrder) -> PlayerPod | None:
+    return player_pod(order.entry.algorithm.spec, order.configuration, ALGORITHM)
 
 
 def _created(folder: Path) -> str | None:

@@ -19,6 +19,7 @@ from slamhive.model.errors import SystemFault
 from slamhive.monitor.spec import TASK_LIMIT
 from slamhive.playback.pod import COMMAND as PLAYER
 from slamhive.playback.pod import FOLDER as PLAYER_FOLDER
+from slamhive.playback.protocol import LEAST_SHARED_MEMORY
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -37,6 +38,7 @@ RUN_LABEL = "io.slamhive.run"
 ALGORITHM = "algorithm"
 PID_FILE = "container.pid"
 _ALONE = ("--network", "none", "--init")
+_PRIVATE = ("--ipc", "private")
 _SCRATCH = f"rw,nosuid,nodev,exec,size={2 * 2**30},mode=1777"
 _MOST_FILES = 1 << 20
 # podman itself takes no more for its own user, and refuses to give what it hasn't.
@@ -59,12 +61,25 @@ class ImageProgram:
     home: str
 
 
+@dataclass(frozen=True)
+class PlayerBeside:
+    """A player's container beside an algorithm's.
+
+    Attributes:
+        identity: the engine's name for it.
+        pod: what both need.
+    """
+
+    identity: str
+    pod: PlayerPod
+
+
 def create_words(
     program: ImageProgram,
     order: AttemptOrder,
     folder: Path,
     variables: Mapping[str, str],
-    player: str | None,
+    player: PlayerBeside | None,
 ) -> list[str]:
     """Return the words of an engine's `create`: the pod of a run, said to an engine.
 
@@ -73,23 +88,25 @@ def create_words(
         order: the attempt.
         folder: of the attempt.
         variables: beside those that every algorithm has.
-        player: identity of the player's container, if there is one.
+        player: the player's container, if there is one.
 
     Raises:
         SystemFault: a path can't be said to it.
     """
     spec = order.entry.algorithm.spec
-    memory = int(quantity(order.spec["resources"]["memory"]))
     told = algorithm_variables(order, spec) | dict(variables)
-    command = expanded(spec.command, told)
+    command = [*expanded(spec.command, told), *(player.pod.arguments if player is not None else ())]
+    seen = mounts(order, folder)
+    if player is not None and player.pod.meets_in_memory:
+        seen.append(_mount(folder / "player" / "own", PLAYER_FOLDER, read_only=True))
     return [
-        *confined(program, order.uid, order.cpus, memory),
+        *confined(program, order.uid, order.cpus, _memory(order)),
         # As in a pod, the algorithm isn't the first process, to which the kernel passes on few signals; it
         # shares network and processes with its player.
-        *(_of_player(player) if player is not None else _ALONE),
+        *(_of_player(player.identity) if player is not None else _ALONE),
         *_of_podman(program.engine, folder, player),
-        *("--shm-size", str(memory // 2)),
-        *(word for mounted in mounts(order, folder) for word in ("--mount", mounted)),
+        *_shared_memory(order, player),
+        *(word for mounted in seen for word in ("--mount", mounted)),
         *_environment(told),
         *(("--entrypoint", command[0]) if command else ()),
         program.image.identity,
@@ -117,6 +134,7 @@ def player_words(
         *confined(program, order.uid, cpus, MEMORY_LIMIT),
         *_ALONE,
         *_of_podman(program.engine, folder),
+        *(("--ipc", "shareable", "--shm-size", str(_room(order))) if pod.meets_in_memory else _PRIVATE),
         *(word for mounted in map(_mount, *zip(*seen, strict=True)) for word in ("--mount", mounted)),
         *_environment(pod.variables),
         *("--entrypoint", PLAYER[0]),
@@ -139,7 +157,7 @@ def confined(program: ImageProgram, run: str, cpus: Sequence[int], memory: int) 
         *("--pull", "never"),
         *("--label", f"{HOME_LABEL}={program.home}", "--label", f"{RUN_LABEL}={run}"),
         *("--user", _user(program.engine), "--workdir", RUN),
-        *("--read-only", "--ipc", "private"),
+        "--read-only",
         *("--cap-drop", "all", "--security-opt", "no-new-privileges", "--security-opt", "label=disable"),
         *("--memory", str(memory), "--memory-swap", str(memory)),
         *("--pids-limit", str(TASK_LIMIT)),
@@ -163,6 +181,22 @@ def _user(engine: Engine) -> str:
 
 def _of_player(identity: str) -> tuple[str, ...]:
     return ("--network", f"container:{identity}", "--pid", f"container:{identity}")
+
+
+def _shared_memory(order: AttemptOrder, player: PlayerBeside | None) -> tuple[str, ...]:
+    """Return the words for an algorithm's /dev/shm: its own, or that of the player whom it meets there."""
+    if player is not None and player.pod.meets_in_memory:
+        return ("--ipc", f"container:{player.identity}")
+    return (*_PRIVATE, "--shm-size", str(_memory(order) // 2))
+
+
+def _memory(order: AttemptOrder) -> int:
+    return int(quantity(order.spec["resources"]["memory"]))
+
+
+def _room(order: AttemptOrder) -> int:
+    """Return the size of the /dev/shm in which an algorithm and its player meet, bytes."""
+    return max(_memory(order) // 2, LEAST_SHARED_MEMORY)
 
 
 def _environment(variables: Mapping[str, str]) -> list[str]:
@@ -230,7 +264,7 @@ def _mount(source: Path, target: str, read_only: bool) -> str:
     return f"{mounted},readonly" if read_only else mounted
 
 
-def _of_podman(engine: Engine, folder: Path, player: str | None = None) -> list[str]:
+def _of_podman(engine: Engine, folder: Path, player: PlayerBeside | None = None) -> list[str]:
     if not engine.is_podman:
         return []
     own = [
@@ -244,5 +278,5 @@ def _of_podman(engine: Engine, folder: Path, player: str | None = None) -> list[
     if not engine.rootless:
         return own
     # What shares processes has to have the same users.
-    users = f"container:{player}" if player is not None else f"keep-id:uid={USER},gid={USER}"
+    users = f"container:{player.identity}" if player is not None else f"keep-id:uid={USER},gid={USER}"
     return [*own, f"--userns={users}"]

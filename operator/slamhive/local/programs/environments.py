@@ -14,16 +14,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from slamhive.contract.environment import own_variables, program_variables
+from slamhive.contract.environment import (
+    LIBRARY_PATH,
+    SETTINGS_FOLDER,
+    own_variables,
+    program_variables,
+)
 from slamhive.local.home.catalog import bundled
 from slamhive.local.home.folder import lock
 from slamhive.local.programs.assets import place_assets
 from slamhive.local.programs.interpreters import interpreter
 from slamhive.local.programs.making import ASIDE, MARKER, Making
+from slamhive.local.programs.players import player_for
 from slamhive.local.programs.playing import own_player
 from slamhive.local.programs.unavailable import Unavailable
 from slamhive.model.base import RELATIVE_PATH
+from slamhive.playback.building import node_arguments
 from slamhive.playback.ros import find_ros
+from slamhive.playback.ros2 import libraries_without_ros
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -32,7 +40,9 @@ if TYPE_CHECKING:
     from slamhive.local.programs.interpreters import Interpreter
     from slamhive.local.programs.prepared import AttemptOrder, PreparedPlayer
     from slamhive.model.algorithm import LocalProgram
+    from slamhive.playback.ros import Ros
 
+_PLAYER = "the ROS 2 player"
 _TO_PROGRAMS = ("LD_LIBRARY_PATH", "SSL_CERT_FILE", "TZ")
 
 
@@ -50,10 +60,19 @@ class ProgramPart(NamedTuple):
 
 @dataclass(frozen=True)
 class Environment:
-    """A virtual environment that is ready: an algorithm as a process of this machine."""
+    """A virtual environment that is ready: an algorithm as a process of this machine.
+
+    Attributes:
+        path: where it is.
+        digest: of it and the adapter.
+        ros: the machine's ROS that the program takes.
+        player_ros: that of its player, where it is a node.
+    """
 
     path: Path
     digest: str
+    ros: Ros | None = None
+    player_ros: Ros | None = None
 
     @property
     def python(self) -> Path:
@@ -81,19 +100,21 @@ class Environment:
         Raises:
             SystemFault: this machine has no ROS.
         """
-        return own_player(order, folder)
+        return own_player(order, folder, self.player_ros)
 
     def supervision(
         self, order: AttemptOrder, folder: Path, variables: Mapping[str, str]
     ) -> Mapping[str, Any]:
         """Return the start of the adapter with its interpreter, or of the program of its own."""
-        program, own = order.entry.algorithm.spec.local, order.entry.folder
+        algorithm, own = order.entry.algorithm.spec, order.entry.folder
+        program = algorithm.local
         if program is not None and program.command is not None:
             argv = (str(own / program.command[0]), *program.command[1:])
         else:
             argv = (str(self.python), str(own / (program.adapter if program else "adapter.py")))
+        files = f"{self.run_folder(folder / 'run')}/{SETTINGS_FOLDER}"
         return {
-            "argv": argv,
+            "argv": (*argv, *node_arguments(algorithm, order.configuration, files)),
             "cwd": str(folder / "run"),
             "env": self._variables(order, folder) | dict(variables),
         }
@@ -102,19 +123,30 @@ class Environment:
         """Do nothing: processes are found by their record."""
 
     def _variables(self, order: AttemptOrder, folder: Path) -> dict[str, str]:
+        spec = order.entry.algorithm.spec
         own = program_variables(
             run=self.run_folder(folder / "run"),
             seed=order.configuration.seed,
             cores=len(order.cpus),
             home=str(folder / "home"),
             scratch=str(folder / "tmp"),
-            settings_files=bool(order.entry.algorithm.spec.files),
+            settings_files=bool(spec.files),
         )
+        passed = own_variables(_TO_PROGRAMS)
+        if self.ros is not None:
+            passed |= dict(self.ros.variables)
+        elif spec.ros2 is not None:
+            passed[LIBRARY_PATH] = libraries_without_ros(passed.get(LIBRARY_PATH, ""))
+            if spec.local is not None and spec.local.command is None:
+                # Where nodes on wheels look for a package's folder.
+                passed["AMENT_PREFIX_PATH"] = str(self.path)
+        helpers = [str(order.entry.folder.parent), str(bundled("algorithms"))]
+        programs = [str(self.path / "bin"), passed.get("PATH"), "/usr/local/bin:/usr/bin:/bin"]
         return {
-            **own_variables(_TO_PROGRAMS),
+            **{name: value for name, value in passed.items() if value},
             **own,
-            "PATH": f"{self.path / 'bin'}:/usr/local/bin:/usr/bin:/bin",
-            "PYTHONPATH": f"{order.entry.folder.parent}:{bundled('algorithms')}",
+            "PATH": os.pathsep.join(filter(None, programs)),
+            "PYTHONPATH": os.pathsep.join([*helpers, *(self.ros.paths if self.ros else ())]),
         }
 
 
@@ -155,16 +187,18 @@ class Environments:
         program = _program(entry)
         if program.command is not None:
             return _parts_of_command(entry)
-        python = interpreter(program, ros=entry.algorithm.spec.ros1 is not None)
+        python = interpreter(entry)
         parts = [
             ProgramPart("Python", f"{python.version[0]}.{python.version[1]}"),
             ProgramPart("machine", platform.machine()),
-            *(ProgramPart("ROS", one) for one in python.beside),
+            *([ProgramPart("ROS", python.beside)] if python.beside else []),
         ]
         return parts + [ProgramPart(path.name, _sha256(path)) for path in source_files(entry)]
 
     def get(self, entry: AlgorithmEntry, pace: str = "") -> Environment:  # noqa: ARG002
         """Return an algorithm's environment, the same for all paces, made when it isn't there.
+
+        That of the ROS 2 player is made beside it for an algorithm that is a ROS 2 node.
 
         Raises:
             Unavailable: this machine can't run the algorithm, or its packages can't be had; that is found out
@@ -172,35 +206,53 @@ class Environments:
             SystemFault: the packages can't be installed right now.
             GivenUp: nobody waits for it any more.
         """
-        program = _program(entry)
+        program, python = _program(entry), interpreter(entry)
+        player = self._player_ros(entry)
         if program.command is not None:
             _check_command(entry, program)
-            return Environment(entry.folder, self.digest(entry))
-        python = interpreter(program, ros=entry.algorithm.spec.ros1 is not None)
-        requirements = entry.folder / program.requirements
-        path = self._folder / _key(python, requirements)
-        if not (path / MARKER).exists():
-            with lock(_lock_of(path)) as held:
-                # Looked at again under the lock: another slamhive may have made it while this one waited.
-                if not (path / MARKER).exists():
-                    self._make(entry.name, path, python, requirements, held)
-        environment = Environment(path, self.digest(entry))
+            return Environment(entry.folder, self.digest(entry), python.ros, player)
+        path = self._made(entry.name, python, entry.folder / program.requirements)
+        environment = Environment(path, self.digest(entry), python.ros, player)
         if (entry.name, path) not in self._usable:
             _check_libraries(entry, program, environment.python)
             self._usable.add((entry.name, path))
         return environment
 
-    def folder_of(self, entry: AlgorithmEntry) -> Path | None:
-        """Return the folder of an algorithm's environment, made or not; None where it has none.
+    def folders_of(self, entry: AlgorithmEntry) -> list[Path]:
+        """Return the folders of an algorithm's environment and of its player's, made or not, if it has any.
 
         Raises:
             Unavailable: this machine can't run the algorithm, or a file of it can't be read.
         """
-        if entry.algorithm.spec.local is None or entry.algorithm.spec.local.command is not None:
-            return None
-        program = _program(entry)
-        python = interpreter(program, ros=entry.algorithm.spec.ros1 is not None)
-        return self._folder / _key(python, entry.folder / program.requirements)
+        program = entry.algorithm.spec.local
+        if program is None:
+            return []
+        found = [] if entry.algorithm.spec.ros2 is None else [player_for(entry.algorithm.spec.ros2)]
+        folders = [self._folder_for(*base) for base in found]
+        if program.command is None:
+            folders.append(self._folder_for(interpreter(entry), entry.folder / program.requirements))
+        return folders
+
+    def _player_ros(self, entry: AlgorithmEntry) -> Ros | None:
+        """Return the ROS of an algorithm's player, whose environment is made when it isn't there."""
+        spec = entry.algorithm.spec
+        if spec.ros2 is None:
+            return find_ros() if spec.ros1 is not None else None
+        base = player_for(spec.ros2)
+        return base.in_environment(self._made(_PLAYER, *base))
+
+    def _folder_for(self, python: Interpreter, requirements: Path) -> Path:
+        return self._folder / _key(python, requirements)
+
+    def _made(self, name: str, python: Interpreter, requirements: Path) -> Path:
+        """Return the path of an environment, made when it isn't there."""
+        path = self._folder_for(python, requirements)
+        if not (path / MARKER).exists():
+            with lock(_lock_of(path)) as held:
+                # Looked at again under the lock: another slamhive may have made it while this one waited.
+                if not (path / MARKER).exists():
+                    self._make(name, path, python, requirements, held)
+        return path
 
     def _make(self, name: str, path: Path, python: Interpreter, requirements: Path, held: int | None) -> None:
         if path in self._impossible:
@@ -235,7 +287,8 @@ def _lock_of(path: Path) -> Path:
 
 
 def _key(python: Interpreter, requirements: Path) -> str:
-    parts = [python.path, str(python.version), _sha256(requirements), *python.beside]
+    beside = [python.beside] if python.beside else []
+    parts = [python.path, str(python.version), _sha256(requirements), *beside]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
 
@@ -243,7 +296,9 @@ def availability(entry: AlgorithmEntry) -> str | None:
     """Say why an algorithm can't run on this machine, as far as that shows without installing it."""
     try:
         program = _program(entry)
-        interpreter(program, ros=entry.algorithm.spec.ros1 is not None)
+        interpreter(entry)
+        if entry.algorithm.spec.ros2 is not None:
+            player_for(entry.algorithm.spec.ros2)
         if program.command is not None:
             _check_command(entry, program)
     except Unavailable as error:
@@ -285,9 +340,9 @@ def source_files(entry: AlgorithmEntry) -> list[Path]:
 
 def _parts_of_command(entry: AlgorithmEntry) -> list[ProgramPart]:
     """Return the parts of a program that needs no Python: it, and files beside it that it is given."""
-    ros = find_ros() if entry.algorithm.spec.ros1 is not None else None
+    beside = interpreter(entry).beside
     parts = [ProgramPart("its kind", "command"), ProgramPart("machine", platform.machine())]
-    parts += [ProgramPart("ROS", f"ros1 {ros.release}")] if ros else []
+    parts += [ProgramPart("ROS", beside)] if beside else []
     return parts + [ProgramPart(path.name, _sha256(path)) for path in source_files(entry)]
 
 

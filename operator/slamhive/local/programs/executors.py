@@ -111,8 +111,8 @@ class Programs:
         Raises:
             Unavailable: this machine can't run it.
         """
-        folder = None if self.executor(entry) == CONTAINER else self.environments.folder_of(entry)
-        return folder is not None and not is_whole(folder)
+        folders = [] if self.executor(entry) == CONTAINER else self.environments.folders_of(entry)
+        return not all(map(is_whole, folders))
 
     def fetch(self, entries: Iterable[AlgorithmEntry]) -> None:
         """Pull the images that aren't there; what can't be pulled is told of by the runs that need it."""

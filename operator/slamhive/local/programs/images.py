@@ -14,12 +14,16 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive import __version__
 from slamhive.local.programs.unavailable import ImageMissing, Unavailable
+from slamhive.model.rosnodes import Ros2
 from slamhive.monitor.programs.engine import EngineError
+from slamhive.playback.pod import PLAYER_IMAGES
+from slamhive.playback.ros2 import WHEELS_RMW
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from slamhive.local.programs.engines import Engine
+    from slamhive.model.rosnodes import RosNode
 
 _OF_THIS_MACHINE = "localhost/"
 _OURS = ("docker.io/slamhive/", "index.docker.io/slamhive/")
@@ -41,9 +45,22 @@ class Image:
     closes_scratch: bool = False
 
 
-def player_image() -> str:
-    """Return the image that plays recordings to ROS 1 nodes; $SLAMHIVE_PLAYER_IMAGE names another."""
-    return os.environ.get("SLAMHIVE_PLAYER_IMAGE") or f"slamhive/ros1-player:{__version__}"
+def player_image(node: RosNode) -> str:
+    """Return the name of the image that plays recordings to a node, ours unless a variable names another.
+
+    Raises:
+        Unavailable: ours hasn't the rmw that the node is to have.
+    """
+    own = PLAYER_IMAGES[node.ros]
+    named = os.environ.get(own.variable)
+    if named:
+        return named
+    if isinstance(node, Ros2) and node.rmw not in {None, WHEELS_RMW}:
+        raise Unavailable(
+            f"needs an image of a player with {node.rmw}, which ${own.variable} names: slamhive/{own.name} "
+            f"has {WHEELS_RMW} alone"
+        )
+    return f"slamhive/{own.name}:{__version__}"
 
 
 def find_image(engine: Engine, name: str) -> Image | None:

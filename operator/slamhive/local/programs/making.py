@@ -108,7 +108,7 @@ class Making:
         if uv is None:
             return False
         self._begin(path, "--without-pip")
-        how = ["--link-mode", "copy", "--only-binary", ":all:", "-r", str(self._requirements)]
+        how = ["--link-mode", "copy", *_how(self._requirements)]
         for command in uv_commands(uv, path / "bin" / "python", how):
             with suppress(SlamHiveError):
                 self._run(command, together=True)
@@ -119,9 +119,7 @@ class Making:
     def _by_pip(self, path: Path) -> None:
         self._begin(path)
         pip = [str(path / "bin" / "python"), "-m", "pip", "--no-input", "--disable-pip-version-check"]
-        # Wheels alone: a source package runs a program of its own to install itself.
-        install = [*pip, "install", "--progress-bar", "off", "--only-binary", ":all:"]
-        self._run([*install, "-r", str(self._requirements)])
+        self._run([*pip, "install", "--progress-bar", "off", *_how(self._requirements)])
 
     def _begin(self, path: Path, *how: str) -> None:
         shutil.rmtree(path, ignore_errors=True)
@@ -150,6 +148,14 @@ class Making:
         self._shown.pop(self._said, None)
         self._said = f"{self._what}: {step.what}"
         self._shown[self._said] = step.share
+
+
+def _how(requirements: Path) -> list[str]:
+    """Return the arguments with which uv and pip install a file of requirements."""
+    # Wheels alone: a source package runs a program of its own to install itself.
+    how = ["--only-binary", ":all:", "-r", str(requirements)]
+    # With hashes it has to name all that is needed, and what it leaves out is left out on purpose.
+    return ["--no-deps", *how] if b"--hash=" in requirements.read_bytes() else how
 
 
 def _anything_in(requirements: Path) -> bool:

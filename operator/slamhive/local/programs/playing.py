@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import threading
 import time
 from contextlib import suppress
@@ -28,13 +29,14 @@ from slamhive.model.results import Reason
 from slamhive.monitor import SupervisorSpec
 from slamhive.playback.building import play_request
 from slamhive.playback.outcome import Played, read_report
-from slamhive.playback.protocol import MASTER_FILE, READY_FILE, VARIABLE, ros_variables
-from slamhive.playback.ros import find_ros, what_it_takes
+from slamhive.playback.protocol import NODE_FILE, READY_FILE, VARIABLE
+from slamhive.playback.ros import what_it_takes
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from slamhive.local.programs.prepared import AttemptOrder
+    from slamhive.playback.ros import Ros
 
 _READY_SECONDS = 60.0
 _LOOK_SECONDS = 0.02
@@ -93,8 +95,11 @@ class Player:
 
         def look() -> None:
             self._program.wait()
-            played = self.played()
-            if not self._stopping and not (played and played.completed):
+            played, last = self.played(), self._program.summary()
+            # One that ended well found the algorithm gone, whose supervisor is about to find that too: told
+            # to end, it would take that for the reason.
+            well = last is not None and last.get("exitCode") == 0
+            if not self._stopping and not well and not (played and played.completed):
                 end()
 
         threading.Thread(target=look, name="player", daemon=True).start()
@@ -113,17 +118,21 @@ class Player:
         if not self._folder.is_dir():
             return None
         # Asked before the report is read: the report lies where the algorithm can write.
-        if self._program.started and not self._program.running and self._was_killed():
-            return Played(False, "SystemFault", "the player was killed")
+        if self._program.started and not self._program.running and (number := self._fatal_signal()):
+            how = "was killed" if number == signal.SIGKILL else f"was ended by signal {number}"
+            return Played(False, "SystemFault", f"the player {how}")
         report = read_report(self._run / "output")
         if report is not None:
             return report
         return Played(False, "SystemFault", self._last_line())
 
-    def _was_killed(self) -> bool:
-        """Tell whether another than us ended it: the algorithm can write what it says, not how it ended."""
-        summary = self._program.summary() or {"signal": True}
-        return summary.get("signal") is not None and summary.get("reason") != Reason.CANCELLED
+    def _fatal_signal(self) -> int | None:
+        """Return the signal that ended it, unless we did: the algorithm can write what it says, not this."""
+        summary = self._program.summary()
+        if summary is None:
+            return signal.SIGKILL
+        number = summary.get("signal")
+        return None if number is None or summary.get("reason") == Reason.CANCELLED else int(number)
 
     def _supervisor_spec(self, prepared: PreparedPlayer) -> SupervisorSpec:
         folder = self._folder
@@ -155,12 +164,15 @@ class Player:
         return self._program.last_words() or "the player was killed"
 
 
-def own_player(order: AttemptOrder, folder: Path) -> PreparedPlayer | None:
+def own_player(order: AttemptOrder, folder: Path, ros: Ros | None) -> PreparedPlayer | None:
     """Lay out a player that is a process of this machine, with its ROS; None where nothing is played.
+
+    It gets none of the variables by which the user's shell tells ROS which domain, rmw or settings to take.
 
     Args:
         order: what is run, as a process too.
         folder: the player's.
+        ros: its ROS; None where this machine has none.
 
     Raises:
         SystemFault: this machine has no ROS.
@@ -175,7 +187,6 @@ def own_player(order: AttemptOrder, folder: Path) -> PreparedPlayer | None:
     )
     if request is None:
         return None
-    ros = find_ros()
     if ros is None:
         raise SystemFault(f"the player {what_it_takes()}")
     for name in ("home", "tmp", "code"):
@@ -195,9 +206,14 @@ def own_player(order: AttemptOrder, folder: Path) -> PreparedPlayer | None:
         VARIABLE: str(folder / "request.json"),
     }
 
+    if request.ros == 2:
+        variables["ROS_LOG_DIR"] = str(folder / "home")
+
     def of_node() -> dict[str, str]:
-        master = str(json.loads((folder / MASTER_FILE).read_text())["uri"])
-        return dict(ros.variables) | ros_variables(master, str(folder.parent / "home"))
+        told: dict[str, str] = json.loads((folder / NODE_FILE).read_text())["variables"]
+        home = str(folder.parent / "home")
+        own = {name: home for name in ("ROS_HOME", "ROS_LOG_DIR") if name in told}
+        return told | own
 
     program = {"argv": (ros.python, "-P", "-m", "slamhive.playback.player"), "cwd": str(folder)}
     return PreparedPlayer(program | {"env": variables}, folder / READY_FILE, of_node)

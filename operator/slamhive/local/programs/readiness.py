@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Readiness of this machine for ``slamhive doctor``: packages, ROS, engines, cgroups, cores, archive.
+"""Readiness of this machine for ``slamhive doctor``: packages, engines, cgroups, cores, archive.
 
 Each look returns rows and changes nothing that stays. Some ask other programs and may take long: whoever
 calls them bounds their time.
@@ -29,7 +29,6 @@ from slamhive.monitor.measuring.hierarchy import cpu_quota, own_hierarchies
 from slamhive.monitor.measuring.machine import cpu_model
 from slamhive.monitor.measuring.processes import identify
 from slamhive.monitor.measuring.sources import read_number
-from slamhive.playback.ros import PACKAGES, find_ros, missing_packages, what_it_takes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -150,27 +149,6 @@ def algorithms(workshop: Workshop) -> ReadinessRow:
         "runs of those fail (AlgorithmUnavailable)",
         "slamhive algorithm list says what each of them needs",
     )
-
-
-def ros(workshop: Workshop) -> Iterator[ReadinessRow]:
-    """Look for ROS 1 and ROS 2."""
-    nodes = sorted(
-        name for name, entry in workshop.algorithm_entries.items() if entry.algorithm.spec.ros1 is not None
-    )
-    release = find_ros()
-    if release is not None:
-        yield there("ROS 1", f"rospy {release.release} for {release.python}")
-    else:
-        costs = f"the ROS 1 nodes {', '.join(nodes)} run in containers and on clusters alone" if nodes else ""
-        state = State.MISSING if nodes else State.UNNEEDED
-        lacking = missing_packages()
-        some = f"not whole, without {', '.join(lacking)}" if 0 < len(lacking) < len(PACKAGES) else "not here"
-        yield ReadinessRow("ROS 1", state, some, costs, what_it_takes() if nodes else "")
-    # A ROS 2 that is not sourced is found by its folder; one that is sourced may be installed elsewhere.
-    there_is = sorted({path.parent.name for path in Path("/opt/ros").glob("*/local_setup.sh")})
-    named = os.environ.get("ROS_DISTRO") if os.environ.get("ROS_VERSION") == "2" else None
-    found = ", ".join(dict.fromkeys([*([named] if named else []), *there_is])) or "not here"
-    yield ReadinessRow("ROS 2", State.UNNEEDED, f"{found}; its bags are read without it")
 
 
 def engines() -> Iterator[ReadinessRow]:
@@ -321,15 +299,17 @@ def memory(facts: Path = Path("/proc/meminfo")) -> ReadinessRow:
     total, free = numbers.get("MemTotal", 0), numbers.get("MemAvailable", 0)
     limits = [read_number(f"{tree.directory}/memory.max") for tree in own_hierarchies() if tree.version == 2]
     allowed = min((limit for limit in limits if limit is not None), default=None)
-    found = f"{_size(free)} of {_size(total)} free"
+    found = f"{size_text(free)} of {size_text(total)} free"
     if allowed is not None and allowed < free:
-        found, free = f"{found}, {_size(allowed)} allowed to this container or unit", allowed
+        found, free = f"{found}, {size_text(allowed)} allowed to this container or unit", allowed
     if free >= _PER_RUN_BYTES:
-        return there("memory", f"{found}; runs may take {_size(_PER_RUN_BYTES)} each unless told otherwise")
+        return there(
+            "memory", f"{found}; runs may take {size_text(_PER_RUN_BYTES)} each unless told otherwise"
+        )
     return limited(
         "memory",
         found,
-        f"a run is allowed {_size(_PER_RUN_BYTES)} unless told otherwise: one that takes it fills memory",
+        f"a run is allowed {size_text(_PER_RUN_BYTES)} unless told otherwise: one that takes it fills memory",
         "template.spec.resources.memory in the sweep says less",
     )
 
@@ -344,7 +324,7 @@ def disk(home: Home) -> ReadinessRow:
         helps = "set SLAMHIVE_HOME to a folder of your own"
         return missing("disk", f"{place} can't be written", "nothing can be run or kept", helps, needed=True)
     free = shutil.disk_usage(place).free
-    found = f"{_size(free)} free at {home.path}"
+    found = f"{size_text(free)} free at {home.path}"
     helps = "set SLAMHIVE_HOME to another disk, or remove what is not needed there"
     if free < _LITTLE_DISK:
         return missing("disk", found, "runs and datasets fail for want of room", helps, needed=True)
@@ -368,7 +348,7 @@ def archive(home: Home) -> ReadinessRow:
             return limited("archive", said, costs, "slamhive archive upgrade", needed=True)
         helps = "slamhive archive check says more"
         return missing("archive", said, "no run can be kept, nothing be shown", helps, needed=True)
-    size = f", {_size(file.stat().st_size)}" if file is not None else ""
+    size = f", {size_text(file.stat().st_size)}" if file is not None else ""
     numbers = {name: findings.counts.get(f"{name}s", 0) for name in ("run", "sweep")}
     counts = ", ".join(f"{count:,} {name}{'' if count == 1 else 's'}" for name, count in numbers.items())
     found = f"{shown(url)}: {counts}{size}"
@@ -394,5 +374,6 @@ def _word(path: Path) -> str:
         return ""
 
 
-def _size(count: float) -> str:
+def size_text(count: float) -> str:
+    """Return a number of bytes as people read it."""
     return f"{count / (1 << 30):.1f} GiB" if count >= 1 << 30 else f"{count / (1 << 20):.1f} MiB"

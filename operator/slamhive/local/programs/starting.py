@@ -10,10 +10,8 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pydantic import TypeAdapter, ValidationError
-
 from slamhive.local.home.catalog import bundled, editor_line, link_algorithm
-from slamhive.model.base import NAME_LIMIT, Choice, Name
+from slamhive.model.base import Choice, require_name
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -30,12 +28,14 @@ class ExampleKind(Choice):
 
     LIDAR_PYTHON = "lidar-python"
     ROS1_NODE = "ros1-node"
+    ROS2_NODE = "ros2-node"
     PROGRAM = "program"
 
 
 _SHARED = {
     ExampleKind.LIDAR_PYTHON: [("algorithms", "adapter_support.py"), ("algorithms", "adapter_recording.py")],
     ExampleKind.ROS1_NODE: [("examples", "algorithms/lidar-python/odometry.py")],
+    ExampleKind.ROS2_NODE: [("examples", "algorithms/lidar-python/odometry.py")],
     ExampleKind.PROGRAM: [],
 }
 """Files that a folder gets besides its example's own."""
@@ -85,13 +85,7 @@ def start_algorithm(
 
 
 def _check_name(name: str, workshop: Workshop) -> None:
-    try:
-        TypeAdapter(Name).validate_python(name)
-    except ValidationError:
-        allowed = "expected lower-case letters, digits, - and ., a letter or digit first and last"
-        raise InputError(f"NAME {name!r}: {allowed}") from None
-    if len(name) > NAME_LIMIT:
-        raise InputError(f"NAME: {len(name)} characters are too many, at most {NAME_LIMIT} are allowed")
+    require_name(name, "NAME")
     if name in workshop.algorithm_entries:
         where = workshop.algorithm(name).folder
         raise InputError(f"NAME: the algorithm {name!r} is known already ({where}); choose another name")

@@ -35,6 +35,7 @@ from slamhive.model.results import Frames, Reason, TrajectoryInfo, Usage, remark
 from slamhive.monitor import SupervisorSpec, end_orphans
 from slamhive.monitor.spec import OUTPUT_LIMIT
 from slamhive.playback.judging import judge
+from slamhive.playback.player.ros2.shm import remove_dead_segments
 from slamhive.templating import place_files, render
 
 if TYPE_CHECKING:
@@ -85,6 +86,8 @@ class Attempt:
                 end_orphans(self._program.record)
             with suppress(ValueError):
                 end_orphans(self._player.record)
+            if self._player.took_part:
+                remove_dead_segments()
             self._lay_out(order)
             self._prepared = order.program
             self._offered = order.frames
@@ -105,6 +108,8 @@ class Attempt:
             self._prepared.abandon(self.folder)
         self._player.stop()
         self._player.wait()
+        if self._player.took_part:
+            remove_dead_segments()  # a player that was killed left its own
 
     def stop(self) -> None:
         """Ask the supervisor to end the program; ``wait`` returns when it has."""
@@ -248,6 +253,7 @@ class Attempt:
             data_seconds=order.configuration.dataset.duration_seconds,
             frames=order.frames,
             includes_reader=algorithm.includes_reader,
+            is_played=self._player.took_part,
             poses=algorithm.output_of(algorithm.mode(order.configuration.mode)).pose_files(
                 str(order.dataset.resolve() / FRAMES)
             ),
@@ -258,20 +264,25 @@ class Attempt:
 def end_left_behind(runs: Path, at_work: Callable[[Path], bool] = lambda _: False) -> None:
     """End what a slamhive that was killed left running, its supervisors included, in any folder of a home.
 
-    An attempt whose supervisor wrote its summary left nothing.
+    What killed ROS 2 nodes and players left in shared memory goes as well. An attempt whose supervisor wrote
+    its summary left nothing.
 
     Args:
         runs: folder of the folders of sweeps.
         at_work: tells whether a runner that lives is at work in a run's folder.
     """
+    left = False
     for record in (*runs.glob("*/*/process.json"), *runs.glob("*/*/player/process.json")):
         if at_work(runs.joinpath(*record.relative_to(runs).parts[:2])):
             continue
         if not record.with_name("summary.json").exists():
+            left = True
             with suppress(ValueError, OSError):  # an algorithm may have spoilt it: it names nobody
                 end_orphans(record)
             with suppress(OSError):
                 record.unlink()
+    if left:
+        remove_dead_segments()
 
 
 def _joined(remark: str | None, notes: Any) -> str | None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
+from slamhive.analysis.measuring import is_current, settings_hash
 from slamhive.analysis.subjects import Surroundings, subject_of
 from slamhive.data.recordings.entries import file_sha256
 from slamhive.local.home.removed import run_parts
@@ -133,4 +133,4 @@ class TrajectoryEvaluator:
 
 def _fitting(twin: RunRecord, settings: EvaluationSettings) -> list[Result]:
     wanted = settings_hash(settings)
-    return [result for result in twin.results if result.values.get(SETTINGS_KEY) == wanted]
+    return [result for result in twin.results if is_current(result.values, wanted)]

@@ -7,19 +7,26 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
-from slamhive.analysis.measuring import SETTINGS_KEY, intended_evaluations, settings_hash
+from slamhive.analysis.measuring import (
+    SETTINGS_KEY,
+    intended_evaluations,
+    is_current,
+    outdated_note,
+    settings_hash,
+)
 from slamhive.local.home.removed import absence
 from slamhive.local.running.evaluating import TrajectoryEvaluator, UnmeasurableError
 from slamhive.model.errors import InputError, SlamHiveError, SystemFault, sentence
+from slamhive.model.evaluation import EvaluationSettings
 from slamhive.model.results import NOT_EVALUATED, IntendedEvaluation, Phase, RunRecord
 from slamhive.model.sensors import SensorMode
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Collection, Iterator
 
     from slamhive.archive import Archive
     from slamhive.local.running.workbench import Workbench
-    from slamhive.model.evaluation import Evaluation, EvaluationSettings, RunSelector
+    from slamhive.model.evaluation import Evaluation, RunSelector
 
 _THREADS = 2
 
@@ -59,7 +66,9 @@ def evaluate_again(bench: Workbench, evaluation: Evaluation) -> tuple[int, list[
 
 
 def bring_up_to_date(bench: Workbench, sweep_uid: str, settings: EvaluationSettings) -> list[Unmeasured]:
-    """Measure a sweep's finished runs whose results were made with other settings than these.
+    """Measure a sweep's finished runs whose results were made otherwise: with other settings, or long ago.
+
+    Results of an earlier version of the evaluation stay where the trajectory is gone.
 
     Returns:
         The runs that could not be measured.
@@ -75,11 +84,57 @@ def bring_up_to_date(bench: Workbench, sweep_uid: str, settings: EvaluationSetti
     asked = [
         record for record in bench.archive.runs({"sweep_uid": sweep_uid}) if record.spec.get("evaluate", True)
     ]
-    return _problems(
-        bench,
-        measured,
-        [one for one in asked if all(result.values.get(SETTINGS_KEY) != wanted for result in one.results)],
-    )
+    evaluator = TrajectoryEvaluator(bench)
+
+    def is_stale(record: RunRecord) -> bool:
+        same = [result.values for result in record.results if result.values.get(SETTINGS_KEY) == wanted]
+        if not same:
+            return True
+        return (
+            not any(is_current(one, wanted) for one in same) and evaluator.trajectory_of(record) is not None
+        )
+
+    return _problems(bench, measured, [record for record in asked if is_stale(record)])
+
+
+def measure_outdated(bench: Workbench, uids: Collection[str]) -> tuple[int, list[Unmeasured]]:
+    """Measure those of some runs again that have results of an earlier version of the evaluation.
+
+    Args:
+        bench: what runs share.
+        uids: of the runs.
+
+    Returns:
+        How many have none any more, and what could not be measured.
+    """
+    known = {settings_hash(one): one for one in (EvaluationSettings(), *_settings_of_sweeps(bench.archive))}
+
+    def measured(record: RunRecord) -> Unmeasured | None:
+        problem = None
+        for result in record.results:
+            if outdated_note(result.values) is None:
+                continue
+            settings = known.get(result.values[SETTINGS_KEY])
+            if settings is None:
+                why = "are not known here: run its file, or the import of the run, again"
+                problem = Unmeasured(f"the settings of evaluation {result.evaluation!r} {why}")
+            else:
+                problem = measure_record(bench, record, settings, result.evaluation) or problem
+        return problem
+
+    records = [
+        record
+        for record in bench.archive.runs()
+        if record.uid in uids and any(outdated_note(result.values) for result in record.results)
+    ]
+    problems = _problems(bench, measured, records)
+    return len(records) - len(problems), problems
+
+
+def _settings_of_sweeps(archive: Archive) -> Iterator[EvaluationSettings]:
+    for sweep in archive.sweeps():
+        with suppress(ValueError):  # as another version may have written them
+            yield EvaluationSettings.model_validate(sweep.evaluation or {})
 
 
 def _problems(

@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Protocol
 
 from slamhive.analysis.measuring import intended_evaluations
+from slamhive.archive.remarks import Remarks
 from slamhive.engine import (
     AttemptEnd,
     AttemptState,
@@ -39,6 +40,7 @@ from slamhive.model.errors import InputError, SettingsError, SlamHiveError, sent
 from slamhive.model.results import (
     NOT_EVALUATED,
     IntendedEvaluation,
+    Outcome,
     Phase,
     Provenance,
     Reason,
@@ -125,6 +127,7 @@ class RunOrder:
         take_up: whether its own attempt may be taken up that ended while slamhive was not there to keep it.
         twin: identity of the run of the same sweep that asks for the same and was done before, if any.
         holding: open files that the run's supervisor holds as long as it lives.
+        remarks: note and tags that it begins with.
     """
 
     uid: str
@@ -137,6 +140,7 @@ class RunOrder:
     take_up: bool
     twin: str | None = None
     holding: tuple[int, ...] = ()
+    remarks: Remarks = field(default_factory=Remarks)
 
 
 @dataclass
@@ -188,6 +192,7 @@ class RunDriver:
         self._attempt = Attempt(bench.home.path / "runs" / order.sweep / order.point.name)
         self._cancelled = threading.Event()
         self._progress = _Progress()
+        self._remarks = order.remarks
 
     def cancel(self) -> None:
         """End the run; its thread comes back soon after."""
@@ -260,6 +265,9 @@ class RunDriver:
             sweep_uid=order.sweep_uid,
             index=order.point.index,
             labels=order.labels,
+            note=self._remarks.note,
+            tags=list(self._remarks.tags),
+            noted=self._remarks.noted,
             spec=self._spec,
             evaluations=self._intended(),
             created=created,
@@ -326,6 +334,7 @@ class RunDriver:
             attempt=progress.attempt_state,
             end=self._attempt.end() if ended else None,
             wants_evaluation=self._spec["evaluate"],
+            suspicion=self._bench.suspicion(self._spec, self._algorithm.algorithm) if ended else None,
         )
 
     def _act(self, action: Prepare | Start | Stop | Evaluate | Finish) -> None:
@@ -350,6 +359,8 @@ class RunDriver:
             path, settings = self._attempt.output / "trajectory.txt", self._order.settings
             result = self._evaluator.measure_file(path, self._spec, settings, progress.variant)
             progress.results = [result] if result else []
+            if result is not None and result.outcome is Outcome.LOST:
+                progress.remark = bench.suspicion(self._spec, self._algorithm.algorithm)
         except (SlamHiveError, OSError) as error:
             progress.unmeasurable = str(error) if isinstance(error, UnmeasurableError) else None
             progress.remark = f"{NOT_EVALUATED}{sentence(error)}"
@@ -357,6 +368,8 @@ class RunDriver:
     def _prepare(self) -> None:
         progress, bench = self._progress, self._bench
         try:
+            # Before a program is made ready, which may take minutes.
+            bench.require_possible(self._spec, self._algorithm.algorithm)
             self._step(RunStep.PROGRAM)
             progress.program = bench.programs.get(self._algorithm, self._spec["input"]["pace"])
             if progress.provenance.content_hash is None:
@@ -392,7 +405,10 @@ class RunDriver:
         try:
             with progress.variant.in_use():
                 if not self._order.take_up:
-                    # What is done again isn't finished: its files go now, so does what was measured on them.
+                    # What is done again isn't finished: its files go now, so does what was measured on them;
+                    # what somebody wrote of it is of what it does, not of those files.
+                    had = self._bench.archive.get(self._order.uid)
+                    self._remarks = Remarks.of(had) if had is not None else self._remarks
                     self._bench.archive.remove_run(self._order.uid)
                 self._attempt.start(order)
                 self._step(RunStep.RUNNING)

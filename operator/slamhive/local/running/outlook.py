@@ -101,7 +101,8 @@ class Outlook:
     Attributes:
         standing: of each, by index.
         replaced: the earlier run of other content in the place of each that is done again, by index.
-        why: what changed since, of each stale one.
+        edited: what changed since, of each that was made otherwise before: the files and such that are part
+            of ``algorithm``, of ``dataset``, or of its ``settings``.
         finished: the earlier runs that are still current.
         aside: those whose earlier run has their identity still: it goes aside when they begin.
         seen: when the runs of all versions that were in the archive had finished, by identity.
@@ -109,7 +110,7 @@ class Outlook:
 
     standing: bytearray
     replaced: dict[int, EarlierRun] = field(default_factory=dict)
-    why: dict[int, tuple[str, ...]] = field(default_factory=dict)
+    edited: dict[int, dict[str, tuple[str, ...]]] = field(default_factory=dict)
     finished: dict[int, EarlierRun] = field(default_factory=dict)
     aside: set[int] = field(default_factory=set)
     seen: dict[str, datetime | None] = field(default_factory=dict)
@@ -136,6 +137,9 @@ class Looking:
         self._making = making
         self._programs: dict[str, ProgramHashes | None] = {}
         self._checksums: dict[str, str | None] = {}
+        self._edits: dict[tuple[Any, ...], dict[str, tuple[str, ...]]] = {}
+        self._recipes: dict[str, str | None] = {}
+        self._recipes_before: dict[str, str | None] = {}
 
     def look(self, sweep: str, sweep_uid: str, points: Points, uids: Callable[[int], str]) -> Outlook:
         """Return the outlook of a sweep's runs.
@@ -168,7 +172,7 @@ class Looking:
             previous = run or by_place.get(index) or by_spec.get(point.spec_hash)
             if previous is None and not reusable:
                 continue
-            now = self._now(point)
+            now = self._now(point, previous)
             if now is None:  # it can't be run today, or nobody knows: what is there stays
                 if run is not None:
                     self._note(outlook, index, run)
@@ -190,11 +194,11 @@ class Looking:
     ) -> None:
         if previous is not None and previous.content_hash not in {None, now.content}:
             outlook.replaced[point.index] = previous
+            outlook.edited[point.index] = self._edited(point, previous.origin, now.origin)
         if is_equal:
             outlook.standing[point.index] = RunStanding.EQUAL
-        elif point.index in outlook.replaced and previous is not None:
+        elif point.index in outlook.replaced:
             outlook.standing[point.index] = RunStanding.STALE
-            outlook.why[point.index] = self._why(point, previous.origin, now.origin)
 
     @staticmethod
     def _note(outlook: Outlook, index: int, run: EarlierRun) -> None:
@@ -212,11 +216,13 @@ class Looking:
             return set()
         return self._bench.archive.reusable(points.algorithm_names(), points.dataset_names())
 
-    def _now(self, point: PlannedPoint) -> Now | None:
+    def _now(self, point: PlannedPoint, previous: EarlierRun | None = None) -> Now | None:
         """Return the parts that a run would be made from now; None where they can't be known."""
         names = point.short_spec
         program = self._program(names["algorithm"] or "")
         checksum = self._checksum(names["dataset"] or "")
+        if checksum is None and previous is not None:
+            checksum = self._unmade(names["dataset"] or "", previous.origin["datasetSha256"])
         if program is None or checksum is None:
             return None
         parts = (program.algorithm_hash, checksum, str(VERSION), program.environment)
@@ -247,15 +253,38 @@ class Looking:
                 place = self._bench.workshop.dataset(name)
                 if self._making or is_made(place.dataset, place.folder, self._bench.home.path / "datasets"):
                     self._checksums[name] = self._bench.checksum(name)
+                else:
+                    self._recipes[name] = self._bench.recipe(name)
             except (SlamHiveError, OSError):
                 pass
         return self._checksums[name]
 
-    def _why(
+    def _unmade(self, name: str, before: str | None) -> str | None:
+        """Return the checksum of a dataset that is still to be made, as far as it takes to compare it.
+
+        Args:
+            name: of the dataset.
+            before: its checksum when an earlier run used it. It still is where the dataset is made by the
+                same recipe; something stands for another one where it isn't; None where nobody noted that.
+        """
+        recipe = self._recipes.get(name)
+        if recipe is None or before is None:
+            return None
+        if before not in self._recipes_before:
+            self._recipes_before[before] = self._bench.recipe_of(before)
+        noted = self._recipes_before[before]
+        return before if noted == recipe else noted and f"of {recipe}"
+
+    def _edited(
         self, point: PlannedPoint, before: dict[str, str | None], after: dict[str, str | None]
-    ) -> tuple[str, ...]:
-        """Return the parts that have changed, in words."""
+    ) -> dict[str, tuple[str, ...]]:
+        """Return the parts that have changed, in words, by what they are part of."""
         changed = {name for name in after if before.get(name) != after[name]}
+        names = point.short_spec
+        # Most runs of a sweep share this, and to compare files takes time.
+        key = (names["algorithm"], names["dataset"], before.get("environment"), *sorted(changed))
+        if key in self._edits:
+            return self._edits[key]
         words: list[str] = []
         if "environment" in changed or "imageID" in changed:
             files = self._bench.versions.changed(before.get("environment"), after["environment"])
@@ -263,11 +292,13 @@ class Looking:
             words += files[:_MOST_NAMED] or [image]
             words += [f"{len(files) - _MOST_NAMED} more"] if len(files) > _MOST_NAMED else []
         words += ["algorithm.yaml"] if "algorithmHash" in changed else []
-        words += [f"the dataset {point.spec['datasetRef']['name']}"] if "datasetSha256" in changed else []
-        words += ["how slamhive prepares recordings"] if "preparation" in changed else []
-        if changed == {"specHash"}:
-            words.append("its settings")
-        return tuple(words) or ("its settings",)
+        recording = [f"the dataset {names['dataset']}"] if "datasetSha256" in changed else []
+        recording += ["how slamhive prepares recordings"] if "preparation" in changed else []
+        found = {"algorithm": tuple(words), "dataset": tuple(recording)}
+        self._edits[key] = {part: told for part, told in found.items() if told} or {
+            "settings": ("its settings",)
+        }
+        return self._edits[key]
 
 
 def sentences(outlook: Outlook, points: Points, *, again: Iterable[int] = (), left_out: int = 0) -> list[str]:
@@ -301,8 +332,9 @@ def sentences(outlook: Outlook, points: Points, *, again: Iterable[int] = (), le
 def _stale(outlook: Outlook, points: Points, asked: set[int]) -> list[str]:
     """Return one sentence for each algorithm and cause."""
     groups: dict[tuple[str, tuple[str, ...]], list[int]] = defaultdict(list)
-    for index, why in outlook.why.items():
+    for index in outlook.of(RunStanding.STALE):
         if index not in asked:
+            why = tuple(word for words in outlook.edited[index].values() for word in words)
             groups[points.point(index).spec["algorithmRef"]["name"], why].append(index)
     found = []
     for (algorithm, why), indices in groups.items():

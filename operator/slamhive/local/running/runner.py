@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from slamhive.archive import CatalogEntry, SweepRecord
 from slamhive.archive.patience import Patience
+from slamhive.archive.remarks import Remarks
 from slamhive.engine import PointState, StartPoints, StopPoints, SweepObserved, Verdict, decide_sweep
 from slamhive.local.home.changes import set_aside
 from slamhive.local.home.claims import Claims
@@ -416,6 +417,7 @@ class Runner:
             sweep=job.sweep.name,
             sweep_uid=job.uid,
             labels=dict(job.sweep.spec.template.metadata.labels),
+            remarks=Remarks.of_annotations(job.sweep.spec.template.metadata.annotations),
             settings=job.sweep.spec.evaluation,
             reuse=not self._redo(job, index) and job.sweep.spec.cache_policy is CachePolicy.REUSE,
             take_up=not self._redo(job, index) and index not in job.afresh,

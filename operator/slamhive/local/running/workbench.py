@@ -6,13 +6,16 @@ from __future__ import annotations
 import os
 import platform
 import threading
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slamhive import __version__
+from slamhive.data.inspecting.known import FINDINGS, looked_at, require_possible, sensors_used
 from slamhive.data.making.preparation import evict_variants, prepare, variant_folder
+from slamhive.data.recordings.entries import remember
 from slamhive.data.recordings.version import VERSION
-from slamhive.data.store.datasets import DatasetEntry, dataset_sha256, materialise
+from slamhive.data.store.datasets import DatasetEntry, dataset_sha256, made_from, materialise
 from slamhive.data.store.groundtruth import ground_truth
 from slamhive.local.programs.environments import digest_of
 from slamhive.local.programs.executors import Programs
@@ -20,10 +23,11 @@ from slamhive.local.programs.unavailable import GivenUp
 from slamhive.local.programs.versions import Versions
 from slamhive.local.running.measuring_apart import measuring_process
 from slamhive.model.base import quantity
-from slamhive.model.errors import InputError
+from slamhive.model.errors import InputError, SlamHiveError
 from slamhive.model.results import Provenance
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import SensorMode
+from slamhive.model.variant import suspicion
 from slamhive.monitor.measuring.machine import cpu_model
 from slamhive.plan import algorithm_hash, content_hash
 
@@ -38,8 +42,10 @@ if TYPE_CHECKING:
     from slamhive.local.home.folder import Home
     from slamhive.local.programs.engines import ContainerChoice
     from slamhive.model.algorithm import Algorithm
+    from slamhive.model.variant import OpenFinding
 
 _VARIANTS_LIMIT = "100Gi"
+_HASHES = ".hashes"
 
 
 class ProgramHashes(NamedTuple):
@@ -89,6 +95,7 @@ class Workbench:
         self._datasets: dict[str, DatasetEntry] = {}
         self._checksums: dict[str, str] = {}
         self._truths: dict[str, GroundTruthPoses | None] = {}
+        self._findings: dict[str, list[OpenFinding]] = {}
         self._locks: dict[str, threading.Lock] = {}
         self._lock = threading.Lock()
 
@@ -120,8 +127,22 @@ class Workbench:
         entry = self.dataset(name)
         with self.lock(name):
             if name not in self._checksums:
-                self._checksums[name] = dataset_sha256(entry, self.home.folder("variants") / ".hashes")
+                hashes = self.home.folder("variants") / _HASHES
+                self._checksums[name] = found = dataset_sha256(entry, hashes)
+                recipe = self.recipe(name)
+                if recipe is not None and self.recipe_of(found) != recipe:
+                    remember(hashes / found, recipe)
             return self._checksums[name]
+
+    def recipe(self, name: str) -> str | None:
+        """Return the hash of what a dataset is generated or fetched by; None where its files are its own."""
+        return made_from(self.workshop.dataset(name).dataset, self.home.path / "datasets")
+
+    def recipe_of(self, checksum: str) -> str | None:
+        """Return the `recipe` of the dataset that had a checksum here; None where nobody noted one."""
+        with suppress(OSError, UnicodeDecodeError):
+            return (self.home.path / "variants" / _HASHES / checksum).read_text(encoding="ascii").strip()
+        return None
 
     def truth(self, name: str) -> GroundTruthPoses | None:
         """Return a dataset's ground truth, read once; None where it has none.
@@ -134,6 +155,18 @@ class Workbench:
             if name not in self._truths:
                 self._truths[name] = ground_truth(entry, self.home.folder("truths"))
             return self._truths[name]
+
+    def findings(self, name: str) -> list[OpenFinding]:
+        """Return the findings of a dataset: those known before, or those of a quick look.
+
+        Raises:
+            InputError: it can't be used.
+        """
+        entry = self.dataset(name)
+        with self.lock(name):
+            if name not in self._findings:
+                self._findings[name] = looked_at(entry, self.home.path / FINDINGS)
+            return self._findings[name]
 
     def lock(self, name: str) -> threading.Lock:
         """Return the lock on what is known of a dataset: finding it out may take minutes, for it alone."""
@@ -236,8 +269,9 @@ class Workbench:
         mode = algorithm.spec.mode(SensorMode(spec["sensors"]))
         name = spec["datasetRef"]["name"]
         entry = self.dataset(name)
+        found = self.findings(name)
         with self._making(f"preparing a recording of {name} (once)", lambda _: None) as progress:
-            return prepare(
+            variant = prepare(
                 entry,
                 mode.needs,
                 InputOptions.model_validate(spec["input"]),
@@ -246,6 +280,27 @@ class Workbench:
                 progress,
                 topics=mode.topics or (),
             )
+        return replace(variant, findings=tuple(found))
+
+    def require_possible(self, spec: dict[str, Any], algorithm: Algorithm) -> None:
+        """Refuse a run that a finding of its dataset makes impossible.
+
+        Raises:
+            InputError: with the finding.
+        """
+        name = spec["datasetRef"]["name"]
+        require_possible(self.dataset(name), self.findings(name), self._sensors(spec, algorithm))
+
+    def suspicion(self, spec: dict[str, Any], algorithm: Algorithm) -> str | None:
+        """Return the findings of a run's recording that its program may fail of."""
+        with suppress(SlamHiveError):  # whoever prepares it says what is wrong
+            return suspicion(self.findings(spec["datasetRef"]["name"]), self._sensors(spec, algorithm))
+        return None
+
+    def _sensors(self, spec: dict[str, Any], algorithm: Algorithm) -> list[str]:
+        roles = algorithm.spec.mode(SensorMode(spec["sensors"])).needs
+        remap = InputOptions.model_validate(spec["input"]).remap
+        return sensors_used(self.dataset(spec["datasetRef"]["name"]).dataset.spec, roles, remap)
 
     def variant(self, spec: dict[str, Any], algorithm: Algorithm) -> Path:
         """Return the folder of the variant that a run's spec asks for, made or not; its dataset is there.

@@ -106,7 +106,8 @@ class MeasuredUsage:
         reader_share: The part of all CPU seconds that this is.
         samples: Number of samples, the rows of usage.csv.
         source: Whose account this is.
-        includes_reader: Reading the recording is part of the figures and can't be told apart.
+        includes_reader: Reading the recording is part of the figures and can't be told apart, None if that
+            isn't known.
         max_includes_reader: The reader is part of `max_cores` although subtracted elsewhere.
         suspect: Why these figures are to be doubted, None if nothing speaks against them.
     """
@@ -120,8 +121,8 @@ class MeasuredUsage:
     reader_share: float | None
     samples: int
     source: str
-    includes_reader: bool
-    max_includes_reader: bool
+    includes_reader: bool | None
+    max_includes_reader: bool | None
     suspect: str | None = None
 
 
@@ -184,7 +185,7 @@ class Accounting:
         *,
         data_seconds: float | None = None,
         reader_cpu_seconds: float | None = None,
-        includes_reader: bool = False,
+        includes_reader: bool | None = None,
         throttled_seconds: float | None = None,
         contended_seconds: float = 0.0,
         kernel_peak: int | None = None,
@@ -236,7 +237,7 @@ class Accounting:
             samples=self.samples,
             source=source,
             includes_reader=includes_reader,
-            max_includes_reader=includes_reader or reader > 0,
+            max_includes_reader=reader > 0 or includes_reader,
             suspect="; ".join(suspicions)[:_SUSPECT_LETTERS] or None,
         )
 

@@ -9,6 +9,7 @@ import select
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
+from slamhive.contract.lines import telling_line
 from slamhive.monitor.programs.log import TAIL_BYTES, clean_tail
 
 if TYPE_CHECKING:
@@ -134,7 +135,7 @@ class OutputPipe:
 
     def last_line(self) -> str:
         """Return the last line that says something, without control characters; empty if there is none."""
-        return clean_tail(self._recent).rpartition("\n")[2].strip()
+        return telling_line(clean_tail(self._recent))
 
     def _take(self) -> int:
         try:

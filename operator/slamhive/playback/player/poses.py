@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from slamhive.playback.protocol import PoseSource
 
 NANOSECONDS = 1_000_000_000
+POSE_TYPES = ("PoseStamped", "PoseWithCovarianceStamped", "Odometry", "Path", "TFMessage")
+"""Names of the types of messages that poses can be taken from."""
 
 
 class Pose(NamedTuple):
@@ -59,8 +61,18 @@ def _pose(header: Any, pose: Any) -> Pose:
 
 
 def _of(header: Any, position: Any, rotation: Any) -> Pose:
-    stamp = header.stamp.secs * NANOSECONDS + header.stamp.nsecs
-    return Pose(stamp, (position.x, position.y, position.z), (rotation.x, rotation.y, rotation.z, rotation.w))
+    return Pose(
+        _nanoseconds(header.stamp),
+        (position.x, position.y, position.z),
+        (rotation.x, rotation.y, rotation.z, rotation.w),
+    )
+
+
+def _nanoseconds(stamp: Any) -> int:
+    """Return a stamp in ns: ROS 1 and ROS 2 name its fields differently."""
+    if hasattr(stamp, "secs"):
+        return int(stamp.secs) * NANOSECONDS + int(stamp.nsecs)
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
 
 
 class Chain:

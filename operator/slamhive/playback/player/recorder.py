@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import bisect
+import itertools
 import json
 import math
 import os
@@ -44,7 +45,7 @@ class Track:
 
     def __init__(self, offset: float) -> None:
         self._offset = round(offset * NANOSECONDS)
-        self._lock = threading.Lock()
+        self._lock = threading.Condition()
         self._first: dict[int, Heard] = {}
         self._last: dict[int, Pose] = {}
         self.broken = 0
@@ -60,6 +61,7 @@ class Track:
                 self._first.setdefault(pose.stamp, Heard(pose, arrival))
                 self._last[pose.stamp] = pose
                 self.latest = arrival
+            self._lock.notify_all()
 
     @property
     def count(self) -> int:
@@ -97,11 +99,25 @@ class Recorder(Track):
         super().__init__(frames.time_offset + moved)
         self._source = frames
         self._frames: dict[int, int] = {}
+        self._looked = 0
+        self._answered: set[int | None] = set()
 
     def frame(self, stamp: int, arrival: int) -> None:
         """Take a frame by its header's stamp and the wall clock of its arrival, both ns."""
         with self._lock:
             self._frames.setdefault(stamp, arrival)
+
+    def wait_for_pose(self, frame: int, seconds: float) -> bool:
+        """Wait until a frame, told by its header's stamp in ns, has a pose; False if it has none in time."""
+        with self._lock:
+            return self._lock.wait_for(lambda: self._has_pose(frame), max(seconds, 0.0))
+
+    def _has_pose(self, frame: int) -> bool:
+        news = list(self._first)[self._looked :]
+        self._looked += len(news)
+        stamps = sorted(self._frames) if news else []
+        self._answered |= {self._frame_of(stamp, stamps) for stamp in news}
+        return frame in self._answered
 
     def latencies(self) -> list[tuple[int, int, int]]:
         """Return for each frame with a pose its stamp, its arrival and that of its first pose, ns."""
@@ -146,9 +162,39 @@ class Recorder(Track):
                 "mean": round(math.fsum(latencies) / len(latencies), 6),
                 "median": round(quantile(latencies, 0.5), 6),
                 "p95": round(quantile(latencies, 0.95), 6),
+                "p99": round(quantile(latencies, 0.99), 6),
                 "max": round(latencies[-1], 6),
             }
         return values
+
+    def factor(self, rate: float, *, stepped: bool) -> float | None:
+        """Return the real-time factor: the time that the node took over the time it had, None if unknown.
+
+        By the clock it took the time from the first frame to the last pose, that in queues included.
+        Stepped it took for each frame the time until its pose, at least that until the next frame; where the
+        pose came after the next frame only, as some nodes need that, the time since then or that time stood.
+
+        Args:
+            rate: Speed of playback.
+            stepped: Whether time stood before each frame until the last one had its pose.
+        """
+        poses = {stamp: pose for stamp, _, pose in self.latencies()}
+        with self._lock:
+            frames = sorted(self._frames.items())
+        if not poses or len(frames) < 2:
+            return None
+        had = (frames[-1][0] - frames[0][0]) / rate
+        if not stepped:
+            end = max(frames[-1][1], *poses.values())
+            return round((end - frames[0][1]) / had, 4)
+        took = 0.0
+        for (stamp, arrival), (later, following) in itertools.pairwise(frames):
+            period = (later - stamp) / rate
+            came = poses.get(stamp, following)
+            held = following - arrival - period
+            in_turn = stamp in poses and came <= following
+            took += max(came - arrival if in_turn else max(came - following, held), period)
+        return round(took / had, 4)
 
     def table(self) -> str:
         """Return the latencies as CSV: sensor stamp, wall clock of frame and pose, latency, all in s."""

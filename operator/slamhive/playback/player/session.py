@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One run as the player sees it: master, ready, play, settle, write, end."""
+"""One run as the player sees it: wire, ready, play, settle, write, end."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamhive.playback.player.processes import AlgorithmProcesses
-from slamhive.playback.player.programs import Master, RosProgram, play_bag
 from slamhive.playback.player.recorder import Recorder, Track, merge_metrics, write_atomically
-from slamhive.playback.protocol import MASTER_FILE, READY_FILE, REPORT_FILE, PlayError
+from slamhive.playback.protocol import NODE_FILE, READY_FILE, REPORT_FILE, PlayError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.playback.player.node import Ears
+    from slamhive.playback.player.wire import Wire
     from slamhive.playback.protocol import PlayRequest
 
 _LOOK_SECONDS = 0.02
@@ -44,9 +43,9 @@ class Session:
         known = request.keyframes
         self._keyframes = Track(request.frames.time_offset + known.moved) if known is not None else None
         self._report: dict[str, Any] = {}
-        self._numbers: dict[str, Any] = {}
-        self._master: Master | None = None
-        self._bag: RosProgram | None = None
+        # The player reads the recording: the algorithm's CPU has nothing of it.
+        self._numbers: dict[str, Any] = {"readerCpuSeconds": 0.0}
+        self._wire: Wire | None = None
         self._silent = False
 
     def run(self) -> int:
@@ -70,80 +69,66 @@ class Session:
         if (self._output / REPORT_FILE).exists():
             raise PlayError("the player was started again in the middle of the run")
         self._folder.mkdir(parents=True, exist_ok=True)
-        if not Path(request.recording).is_file():
+        if not Path(request.recording).exists():
             raise PlayError(f"{request.recording} isn't there to be played")
-        self._master = Master(self._folder, request.port, self._stopped)
-        # rospy looks for the master as soon as it is imported.
-        from slamhive.playback.player.node import Ears, release_bag  # noqa: PLC0415
-
-        ears = Ears(request.poses, request.frames, self._recorder)
-        if request.keyframes is not None and self._keyframes is not None:
-            ears.hear_poses(request.keyframes, self._keyframes)
-        self._master.set_simulated_time()
-        self._bag = play_bag(self._folder, request.recording, request.rate, request.topics | request.remap)
-        write_atomically(self._folder / MASTER_FILE, json.dumps({"uri": self._master.uri}) + "\n")
+        wire = self._wire = self._connect()
+        write_atomically(self._folder / NODE_FILE, json.dumps({"variables": dict(wire.variables)}) + "\n")
         self._tell("Waiting")
         (self._folder / READY_FILE).touch()
-        if not self._wait_until_ready(ears):
+        if not self._wait_until_ready(wire):
             return
         begin, begun = time.time(), time.monotonic()
         self._tell("Playing", playStart=begin)
-        release_bag()
-        if self._wait_for_bag():
-            seconds = time.monotonic() - begun
-            self._numbers["playSeconds"] = round(seconds, 3)
+        played = wire.play(self._goes_on)
+        self._numbers |= wire.numbers()
+        if played:
+            self._numbers["playSeconds"] = round(time.monotonic() - begun, 3)
             if self._settle():
-                self._silent = ears.has_poses and not self._recorder.count
+                self._silent = wire.has_poses and not self._recorder.count
                 self._tell("Ended", playEnd=self._last_word())
 
-    def _wait_until_ready(self, ears: Ears) -> bool:
+    def _connect(self) -> Wire:
+        """Return the wire to a node of the request's ROS, which alone is imported."""
+        asked = (self._request, self._folder, self._recorder, self._keyframes, self._stopped)
+        if self._request.ros == 1:
+            from slamhive.playback.player.ros1.wire import Ros1Wire  # noqa: PLC0415
+
+            return Ros1Wire(*asked)
+        from slamhive.playback.player.ros2.wire import Ros2Wire  # noqa: PLC0415
+
+        return Ros2Wire(*asked)
+
+    def _wait_until_ready(self, wire: Wire) -> bool:
         """Wait until the node takes its sensors' topics; its time counts from its first process."""
         request = self._request
-        wanted = list(request.topics.values())
         seen: float | None = None
         taken_at: float | None = None
         while not self._stopped():
-            self._check()
+            wire.check()
             now = time.monotonic()
             if seen is None:
                 seen = now if self._algorithm.seen() else None
             elif not self._algorithm.lives():
                 return False
-            missing = sorted(set(wanted) - set(self._master.taken(wanted))) if self._master else wanted
-            if not missing and ears.linked:
+            obstacle = wire.obstacle()
+            if obstacle is None:
                 taken_at = taken_at or now
                 # Some nodes announce their poses with the first one; who has announced them is waited for.
                 late = now > taken_at + _POSE_LINK_SECONDS
-                if ears.has_poses or (late and not self._announces(request.poses.topic)):
+                if wire.has_poses or (late and not wire.announces_poses):
                     return True
             if seen is not None and now > seen + request.ready_seconds:
-                if not missing and ears.linked:
+                if obstacle is None:
                     return True  # its poses may be of another type; it may write its trajectory itself
-                what = f"did not subscribe to {', '.join(missing)}" if missing else "could not be heard"
-                raise PlayError(f"the node {what} in {request.ready_seconds:g} s", "AlgorithmFailed")
+                raise PlayError(obstacle.sentence(request.ready_seconds), obstacle.reason)
             time.sleep(_LOOK_SECONDS)
         return False
 
-    def _announces(self, topic: str) -> bool:
-        return self._master is not None and self._master.has_publisher(topic)
-
-    def _check(self) -> None:
-        if self._master is not None:
-            self._master.check()
-        if self._bag is not None and self._bag.status is not None:
-            raise PlayError(f"rosbag play ended before it began: {self._bag.last_line()}")
-
-    def _wait_for_bag(self) -> bool:
-        """Wait for the end of the bag; False when the algorithm ended first, or we are to go."""
-        while self._bag is not None and self._bag.status is None:
-            if self._stopped() or not self._algorithm.lives():
-                return False
-            if self._master is not None:
-                self._master.check()
-            time.sleep(_LOOK_SECONDS)
-        if self._bag is not None and self._bag.status:
-            raise PlayError(f"rosbag play failed: {self._bag.last_line()}")
-        return True
+    def _goes_on(self) -> bool:
+        """Tell whether to go on; not when the algorithm has ended, or we are to go."""
+        if self._wire is not None:
+            self._wire.check()
+        return not self._stopped() and self._algorithm.lives()
 
     def _settle(self) -> bool:
         """Wait until no more poses come, at most as long as the recording lasts; False as before."""
@@ -172,30 +157,46 @@ class Session:
         recorder, output = self._recorder, self._output
         if self._silent:  # a node that publishes poses, but tracked nothing
             write_atomically(output / "trajectory.txt", "# the node published no pose\n")
-            merge_metrics(output / "metrics.json", recorder.metrics() | self._numbers)
         if self._keyframes is not None and self._keyframes.count:
             write_atomically(output / "trajectory.keyframes.txt", self._keyframes.final())
-        if not recorder.count:
-            return
-        final, online = recorder.final(), recorder.online()
-        write_atomically(output / "trajectory.txt", final)
-        if online != final:
-            write_atomically(output / "trajectory.online.txt", online)
-        write_atomically(output / "latency.csv", recorder.table())
-        merge_metrics(output / "metrics.json", recorder.metrics() | self._numbers)
+        if recorder.count:
+            final, online = recorder.final(), recorder.online()
+            write_atomically(output / "trajectory.txt", final)
+            if online != final:
+                write_atomically(output / "trajectory.online.txt", online)
+            write_atomically(output / "latency.csv", recorder.table())
+        # That the player read the recording holds where nothing was played too.
+        played = recorder.count or "playSeconds" in self._numbers
+        merge_metrics(output / "metrics.json", self._figures() if played else self._numbers)
 
     def _end(self) -> None:
         """End the algorithm, then what we started; keep the poses as published if it wrote its own."""
+        path = self._output / "trajectory.txt"
+        ended = self._wire is not None and self._report.get("state") == "Ended"
+        unheard = self._unheard() if ended and not self._recorder.count else ""
         if not self._stopped():
             self._algorithm.end(self._request.end_seconds, self._stopped)
-        for program in (self._bag, self._master):
-            if program is not None:
-                program.end()
-        path = self._output / "trajectory.txt"
+        if self._wire is not None:
+            self._wire.end()
+        if unheard and not path.exists():  # nor did it write its poses itself
+            self._tell("Failed", reason="AlgorithmFailed", message=unheard)
         if self._recorder.count and path.is_file() and not path.is_symlink():
             online = self._recorder.online()
             if path.stat().st_size != len(online) or path.read_text(errors="replace") != online:
                 write_atomically(self._output / "trajectory.online.txt", online)
+
+    def _unheard(self) -> str:
+        """Return the sentence for a node of which no poses were heard, with those that it publishes."""
+        found = ", ".join(self._wire.published()) if self._wire is not None else ""
+        topic, field = self._request.poses.topic, f"ros{self._request.ros}.poses"
+        elsewhere = f"it publishes {found}" if found else "it publishes none elsewhere"
+        return f"the node published no poses on {topic} ({field} of its Algorithm); {elsewhere}"
+
+    def _figures(self) -> dict[str, Any]:
+        """Return the numbers that become results."""
+        factor = self._recorder.factor(self._request.rate, stepped=self._request.stepped)
+        known = {} if factor is None else {"realTimeFactor": factor}
+        return self._recorder.metrics() | known | self._numbers
 
     def _tell(self, state: str, **fields: Any) -> None:
         self._report |= {"state": state, **fields}

@@ -11,7 +11,7 @@ from slamhive.data.inspecting.inspection import inspect
 from slamhive.data.recordings.clouds import cloud_points
 from slamhive.data.recordings.entries import DatasetEntry
 from slamhive.data.recordings.images import image_pixels
-from slamhive.data.recordings.reading import open_recording
+from slamhive.data.recordings.repairing import open_recording
 from slamhive.model.dataset import Dataset
 
 

@@ -12,7 +12,7 @@ from layouts.kitti import FRAMES, P0, SECOND, TR, write_sequence
 
 from slamhive.data.importers import ImportOptions, import_recording, layout_module
 from slamhive.data.making.exporting import all_roles, export_dataset
-from slamhive.data.recordings.reading import open_recording
+from slamhive.data.recordings.repairing import open_recording
 from slamhive.data.store.groundtruth import ground_truth
 from slamhive.model.algorithm import DataFormat
 from slamhive.model.errors import DataError, InputError

@@ -339,16 +339,20 @@ def _end(run: Object) -> tuple[Any, ...]:
     )
 
 
+_FREE = ("Blocked", "False")
+
+
 def _conditions(status: Object) -> tuple[tuple[str, str, str], ...]:
     """Return the conditions without their sentences and times, and without trouble on the way.
 
-    Nor whether the metrics API answers: that stands in a Sweep that is written after it was asked.
+    Nor whether the metrics API answers: that stands in a Sweep that is written after it was asked. Nor that
+    it stood still for a while, as it does where a machine is slow.
     """
     return tuple(
         sorted(
             (item["type"], item["status"], item["reason"])
             for item in status.get("conditions") or ()
-            if item["type"] not in {*PASSING, "LiveUsage"}
+            if item["type"] not in {*PASSING, "LiveUsage"} and (item["type"], item["status"]) != _FREE
         )
     )
 

@@ -2,7 +2,8 @@
 /** Boxes of quartiles with every run drawn over them; fewer than five runs get no box. */
 import { COLOURS } from '../core/chart.js';
 import { clip, namedText, number } from '../core/format.js';
-import { asCategories, axisOption, quantile, readAxis } from './points.js';
+import { quantile } from './limits.js';
+import { asCategories, axisOption, endsOf, readAxis } from './points.js';
 
 const MOST_POINTS = 2000;
 const [LEFT, RIGHT] = [72, 24];
@@ -11,15 +12,19 @@ const [LEFT, RIGHT] = [72, 24];
  * Return the option of a box chart, a function of its size; null where x has too many values.
  * @param {Api.Points} data answer of analysis/points
  * @param {number[]} indices which of its points
- * @param {{ylog: boolean, tracked: boolean}} settings tracked: only tracked runs count
+ * @param {{ylog: boolean, tracked: boolean, own?: boolean}} settings tracked: only tracked runs count; own:
+ *   its axes are for its own runs alone
  * @returns {((size: Size) => ChartOption) | null}
  */
-export function box(data, indices, { ylog, tracked }) {
+export function box(data, indices, { ylog, tracked, own = false }) {
   const every = asCategories(readAxis(data.axes.x), data.count);
   if (!every) return null;
-  const x = present(every, indices);
+  const shared = Boolean(data.axes.facet) && !own;
+  const x = shared ? every : present(every, indices);
   const y = readAxis(data.axes.y);
   const status = readAxis(data.status);
+  const all = Array.from({ length: data.count }, (_, index) => index);
+  const ends = endsOf(y, all, { log: ylog, vertical: true });
   const colour = data.axes.colour ? asCategories(readAxis(data.axes.colour), data.count, 12) : null;
   const counted = indices.filter(
     (index) => x.at(index) !== null && y.at(index) !== null && (!tracked || status.text(index) === 'Tracked'),
@@ -45,7 +50,7 @@ export function box(data, indices, { ylog, tracked }) {
       return [
         {
           type: 'boxplot',
-          name: clip(name, 40),
+          name: clip(name, 90),
           data: boxes,
           boxWidth: [6, 46],
           itemStyle: { color: 'transparent', borderWidth: 1.5 },
@@ -53,7 +58,7 @@ export function box(data, indices, { ylog, tracked }) {
         },
         {
           type: 'scatter',
-          name: clip(name, 40),
+          name: clip(name, 90),
           data: dots,
           symbolSize: 6,
           symbolOffset: [besideOthers(at, groups.length, (width - LEFT - RIGHT) / x.categories.length), 0],
@@ -71,7 +76,7 @@ export function box(data, indices, { ylog, tracked }) {
     ].join('\n');
   return ({ width }) => ({
     grid: { left: LEFT, right: RIGHT, top: colour ? 40 : 16, bottom: 72 },
-    legend: colour ? { data: groups.map(({ name }) => clip(name, 40)) } : undefined,
+    legend: colour ? { data: groups.map(({ name }) => clip(name, 90)) } : undefined,
     tooltip: {
       trigger: 'item',
       formatter: (item) =>
@@ -91,7 +96,7 @@ export function box(data, indices, { ylog, tracked }) {
         }),
       }),
     ),
-    yAxis: axisOption(y, { log: ylog, vertical: true }),
+    yAxis: { ...axisOption(y, { log: ylog, vertical: true }), ...(shared && ends) },
     series: series(width),
   });
 }

@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Contours: a figure over two settings, between the places where runs are, and nothing beyond them. */
 import { axisName, cell, clip, number } from '../core/format.js';
+import { ramp, SCALE } from '../core/scale.js';
 import { robustLimits } from './limits.js';
 import { valuesOf } from './multiples.js';
-import { ramp, RAMP } from './trajectory.js';
+import { CROSS } from './failures.js';
 
 /** Parts of each side of a field between four places: enough for lines to look smooth. */
 const PARTS = 12;
 const LEVELS = 8;
 const FEW = 8;
-const CROSS = 'path://M0 0L10 10M10 0L0 10';
 
 /**
  * Return the figures of a board as a grid.
@@ -156,7 +156,7 @@ export function contourChart({ metric, axes }, cells) {
         top: 'middle',
         itemHeight: 130,
         text: [number(high, 3), number(low, 3)],
-        inRange: { color: RAMP.map((one) => `rgb(${one.join(',')})`) },
+        inRange: { color: SCALE },
       },
       series: [
         {

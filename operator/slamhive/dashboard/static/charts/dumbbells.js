@@ -5,7 +5,7 @@ import { clip, keysText, namedValue, number } from '../core/format.js';
 import { labelRoom, rowAxis, rowLines } from './rows.js';
 
 const WIDE_RANGE = 5;
-const NARROW = 560;
+export const NARROW = 560;
 /** @type {Array<{key: 'own'|'common'} & Record<string, any>>} */
 const SERIES = [
   {
@@ -35,7 +35,7 @@ export function dumbbells(entries) {
    * @param {number} width
    */
   const name = (entry, width) => {
-    const said = width < NARROW ? twoLines(entry.keys) : clip(keysText(entry.keys), 46);
+    const said = width < NARROW ? twoLines(entry.keys) : keysText(entry.keys);
     return entry.common === null ? `× ${said}` : said;
   };
   /**
@@ -92,8 +92,8 @@ export function dumbbells(entries) {
 }
 
 /** @param {Api.Keys} keys */
-const twoLines = (keys) => {
-  const [first, ...rest] = Object.entries(keys).map(([name, value]) => clip(namedValue(name, value), 46));
+export const twoLines = (keys) => {
+  const [first, ...rest] = Object.entries(keys).map(([name, value]) => namedValue(name, value));
   return rest.length ? `${first}\n${rest.join(', ')}` : first;
 };
 
@@ -110,7 +110,7 @@ const told = (entry) =>
  * @param {number} value
  * @param {(value: number) => number} towards
  */
-function rounded(value, towards) {
+export function rounded(value, towards) {
   const size = 10 ** Math.floor(Math.log10(value));
   return Number((towards(value / size) * size).toPrecision(1));
 }

@@ -93,7 +93,7 @@ export function ecdfChart(metric, curves, limits, xlog) {
           ...curves.map((one) => {
             const reached = one.x.findLastIndex((value) => sign * (at - value) >= 0);
             const share = reached < 0 ? 0 : one.share[reached];
-            return `${clip(one.name, 40)}: ${number(100 * share, 3)} % of ${one.total} runs`;
+            return `${clip(one.name, 90)}: ${number(100 * share, 3)} % of ${one.total} runs`;
           }),
         ].join('\n');
       },
@@ -113,7 +113,7 @@ export function ecdfChart(metric, curves, limits, xlog) {
           type: 'line',
           step: 'end',
           symbol: 'none',
-          name: clip(one.name, 50),
+          name: clip(one.name, 90),
           color: colour,
           lineStyle: { width: 2, type: DASHES[Math.floor(one.place / COLOURS.length) % DASHES.length] },
           data: steps(one, good, bad),
@@ -122,7 +122,7 @@ export function ecdfChart(metric, curves, limits, xlog) {
           ? [
               {
                 type: 'scatter',
-                name: clip(one.name, 50),
+                name: clip(one.name, 90),
                 color: colour,
                 symbol: 'triangle',
                 symbolRotate: -90 * sign,

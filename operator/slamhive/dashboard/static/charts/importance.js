@@ -46,7 +46,7 @@ export function importanceCharts(subject) {
           barMaxWidth: 20,
           data: shown.map((row) => ({
             value: Math.max(0, 100 * Number(row.variance)),
-            itemStyle: { color: COLOURS[row.together ? 4 : 0] },
+            itemStyle: { color: COLOURS[row.together ? 5 : 0] },
           })),
           label: { show: true, position: 'right', formatter: (item) => `${number(item.value, 3)} %` },
         },

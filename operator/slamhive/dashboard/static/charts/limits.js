@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Limits of axes: a few values far away don't flatten all others, and the ends are round numbers. */
-import { quantile } from './points.js';
-
 /** Quartile distances beyond the quartiles from which on a value is far out; as in `analysis/limits.py`. */
 const FAR = 3;
 /** Values below which none is left outside: of a few, none is the exception. */
@@ -69,6 +67,50 @@ export function roundEnds(limits, { log = false, steps = 4 } = {}) {
   return { min: clean(min), max: clean(max), interval };
 }
 
+/**
+ * Return the ends of an axis of settings, a little beyond its values so that no point lies on the frame, with
+ * a tick at each value where they are few.
+ * @param {number[]} values
+ * @param {boolean} log
+ * @param {number} [few] values up to which each has a tick
+ * @returns {{min?: number, max?: number, axisTick?: any, axisLabel?: any}}
+ */
+export function triedEnds(values, log, few = 10) {
+  const known = [...new Set(values)].filter((value) => !log || value > 0).sort((a, b) => a - b);
+  if (!known.length) return {};
+  const [low, high] = [known[0], known[known.length - 1]];
+  const room = (high - low) * 0.06 || Math.abs(high) * 0.1 || 1;
+  const ends = log ? { min: low / 1.15, max: high * 1.15 } : { min: low - room, max: high + room };
+  if (known.length > few) return { ...ends, axisLabel: { showMinLabel: false, showMaxLabel: false } };
+  return { ...ends, axisTick: { customValues: known }, axisLabel: { customValues: known } };
+}
+
+/**
+ * Return round ticks of a logarithmic axis, with their labels: at most a handful.
+ * @param {number} low above 0
+ * @param {number} high
+ */
+export function logTicks(low, high) {
+  const [first, last] = [Math.floor(Math.log10(low)), Math.ceil(Math.log10(high))];
+  const span = Math.log10(high / low);
+  const step = Math.max(1, Math.ceil(span / 6));
+  const parts =
+    span > 2
+      ? [1]
+      : span > 0.8
+        ? [1, 2, 5]
+        : span > 0.35
+          ? [1, 1.5, 2, 3, 5, 7]
+          : [1, 1.2, 1.4, 1.7, 2, 2.5, 3, 4, 5, 6, 7, 8, 9];
+  const customValues = Array.from(
+    { length: Math.floor((last - first) / step) + 1 },
+    (_, at) => first + at * step,
+  )
+    .flatMap((power) => parts.map((part) => clean(part * 10 ** power)))
+    .filter((value) => value >= low * 0.999 && value <= high * 1.001);
+  return { axisTick: { customValues }, axisLabel: { customValues } };
+}
+
 /** Take off what floating point adds in the last digits. @param {number} value */
 const clean = (value) => Number(value.toPrecision(12));
 
@@ -83,4 +125,15 @@ export function outsideText(limits, what) {
   return count === 1
     ? `1 ${what} lies outside the limits of the axis: a triangle at its end marks it`
     : `${count} ${what}s lie outside the limits of the axis: triangles at its ends mark them`;
+}
+
+/**
+ * The share of a sorted list: linear between its values.
+ * @param {number[]} sorted
+ * @param {number} share
+ */
+export function quantile(sorted, share) {
+  const place = (sorted.length - 1) * share;
+  const low = Math.floor(place);
+  return sorted[low] + (sorted[Math.ceil(place)] - sorted[low]) * (place - low);
 }

@@ -2,6 +2,8 @@
 /** Lines over the groups of /api/v1/analysis/aggregate, with the interval or the range around them. */
 import { COLOURS, legendOfLines } from '../core/chart.js';
 import { axisName, cell, clip, headingOf, keysText, number } from '../core/format.js';
+import { crossed, withField } from './failures.js';
+import { roundEnds, triedEnds } from './limits.js';
 
 /**
  * Return one line a combination of all keys but x and the facet.
@@ -46,8 +48,9 @@ export function linesOf(groups, x, y, others) {
 /**
  * Return the option of a line chart.
  * @param {Api.Aggregate} data answer of analysis/aggregate
- * @param {{x: string, y: string, facet?: string, facetValue?: string|null, figure: 'median'|'mean', xlog:
- *   boolean, ylog: boolean}} settings
+ * @param {{x: string, y: string, facet?: string, facetValue?: string|null, among?: Array<string|null>,
+ *   own?: boolean, figure: 'median'|'mean', xlog: boolean, ylog: boolean}} settings among: the charts with
+ *   which this one shares its axes; own: it doesn't
  * @returns {ChartOption}
  */
 export function line(data, settings) {
@@ -59,20 +62,52 @@ export function line(data, settings) {
   /** @param {any} value */
   const scaleX = (value) =>
     category ? clip(cell(value), 28) : xHeading.kind === 'time' ? value : value * (xHeading.factor ?? 1);
-  const categories = category
-    ? [...new Set(all.flatMap((one) => one.points.map((point) => scaleX(point.x))))]
-    : null;
+  const { among = [], facet } = settings;
+  const shared =
+    !settings.own && facet
+      ? data.groups.filter((group) => among.includes(String(group.keys[facet])))
+      : all.flatMap((one) => one.points.map((point) => point.group));
+  const tried = [
+    ...new Set(
+      shared
+        .map((group) => group.keys[settings.x])
+        .filter((value) => value !== null)
+        .map(scaleX),
+    ),
+  ];
+  const values = shared.flatMap((group) => {
+    const { low, middle, high } = reach(group.figures[settings.y], settings.figure, factor);
+    return [low, middle, high].flatMap((value) =>
+      value === null || (settings.ylog && value <= 0) ? [] : [value],
+    );
+  });
+  // A single chart has ends of its own anyway.
+  const ends =
+    facet && !settings.own && values.length
+      ? roundEnds({ low: Math.min(...values), high: Math.max(...values) }, { log: settings.ylog })
+      : { scale: true };
+  /** @type {any[]} */
+  const failed = [];
   const series = all.flatMap((one, index) => {
     const colour = COLOURS[index % COLOURS.length];
-    const points = one.points
-      .map((point) => ({ ...point, x: scaleX(point.x), ...reach(point.figure, settings.figure, factor) }))
-      .filter((point) => point.middle !== null);
+    const every = one.points.map((point) => ({
+      ...point,
+      x: scaleX(point.x),
+      ...reach(point.figure, settings.figure, factor),
+    }));
+    const points = every.filter((point) => point.middle !== null);
+    failed.push({
+      name: clip(one.name, 90),
+      data: every
+        .filter((point) => point.middle === null)
+        .map((point) => ({ value: [point.x, 0], point, itemStyle: crossed(colour) })),
+    });
     if (!category) points.sort((a, b) => a.x - b.x);
     return [
       band(one.name, points, colour),
       {
         type: 'line',
-        name: clip(one.name, 50),
+        name: clip(one.name, 90),
         color: colour,
         symbol: index % 2 ? 'diamond' : 'circle',
         symbolSize: 8,
@@ -81,28 +116,29 @@ export function line(data, settings) {
       },
     ];
   });
-  return {
+  const option = {
     grid: { left: 72, right: 24, top: all.length > 1 ? 40 : 16, bottom: 46 },
     legend: all.length > 1 ? legendOfLines(all.map((one) => one.name)) : undefined,
     tooltip: {
       trigger: 'item',
-      formatter: (item) => tell(item.data?.point, item.seriesName, heading, settings.figure),
+      formatter: (/** @type {Item} */ item) =>
+        tell(item.data?.point, item.seriesName, heading, settings.figure),
     },
     xAxis: {
       type: category ? 'category' : settings.xlog ? 'log' : 'value',
-      scale: true,
-      data: categories ?? undefined,
+      ...(category ? { data: tried } : triedEnds(tried, settings.xlog)),
       name: clip(axisName(xHeading), 50),
       nameGap: 28,
     },
     yAxis: {
       type: settings.ylog ? 'log' : 'value',
-      scale: true,
+      ...ends,
       name: `${clip(axisName(heading), 44)}, ${settings.figure}`,
       nameGap: 52,
     },
     series,
   };
+  return withField(option, 'above', failed);
 }
 
 /**
@@ -127,14 +163,14 @@ export function reach(figure, which, factor) {
 
 /**
  * @param {string} name
- * @param {Reached[]} points
+ * @param {Array<Pick<Reached, "x"|"low"|"high">>} points
  * @param {string} colour
  * @returns {ChartOption}
  */
 export function band(name, points, colour) {
   return {
     type: 'custom',
-    name: clip(name, 50),
+    name: clip(name, 90),
     color: colour,
     silent: true,
     z: 1,
@@ -163,13 +199,13 @@ export function band(name, points, colour) {
  */
 export function tell(point, name, heading, which) {
   if (!point) return '';
-  const { group, figure } = point;
+  const { group, figure, middle } = point;
   const failures = Object.entries(group.failures ?? {})
     .map(([what, count]) => `${count} ${what}`)
     .join(', ');
   return [
     clip(name, 60),
-    `${clip(heading.title, 40)} (${which}): ${number(point.middle)}`,
+    `${clip(heading.title, 40)} (${which}): ${middle === null ? 'no run counts' : number(middle)}`,
     `${point.interval ?? 'least to largest'}: ${number(point.low)} to ${number(point.high)}`,
     `n = ${figure?.n} of ${group.runs} runs${failures ? `; ${failures}` : ''}`,
     `coverage: ${number(group.coverage?.mean, 3)}`,

@@ -3,7 +3,8 @@
 import { COLOURS, legendOfLines } from '../core/chart.js';
 import { axisName, cell, clip, headingOf, namedValue } from '../core/format.js';
 import { band, linesOf, reach, tell } from './line.js';
-import { outsideText, robustLimits, roundEnds } from './limits.js';
+import { outsideText, robustLimits, roundEnds, triedEnds } from './limits.js';
+import { CROSS } from './failures.js';
 
 /** Columns and rows of charts: more could not be told apart. */
 export const MOST_ACROSS = 12;
@@ -113,10 +114,7 @@ export function multiples(data, set, found) {
   /** @type {(value: any) => any} */
   const placeX = (value) => (category ? clip(cell(value), 24) : value * (xHeading.factor ?? 1));
   const numbers = category ? [] : xs.map(placeX);
-  const xEnds = category ? {} : spread(numbers, set.xlog);
-  // A few values have a label each.
-  const few = numbers.length > 0 && numbers.length <= FEW;
-  const labelled = few ? { customValues: numbers } : {};
+  const xEnds = category ? {} : triedEnds(numbers, set.xlog, FEW);
   const [floor, ceiling] = [ends.min ?? 0, ends.max ?? 1];
   const notes = [
     outsideText(limits, set.figure),
@@ -144,7 +142,7 @@ export function multiples(data, set, found) {
         for (const line of one.lines) {
           const index = names.indexOf(line.name);
           const colour = COLOURS[index % COLOURS.length];
-          const name = clip(line.name, 50);
+          const name = clip(line.name, 90);
           const all = line.points.map((point) => ({ ...point, x: placeX(point.x) }));
           if (!category) all.sort((a, b) => a.x - b.x);
           const drawn = all.filter((point) => point.middle !== null);
@@ -204,12 +202,11 @@ export function multiples(data, set, found) {
           ...xEnds,
           axisPointer: { show: true, type: 'line', triggerTooltip: false, label: { show: false } },
           axisLabel: {
+            ...(category ? { interval: 0 } : xEnds.axisLabel),
             show: one.atRow === down.length - 1,
             fontSize: 11,
-            ...(category ? { interval: 0 } : { showMinLabel: few, showMaxLabel: few }),
-            ...labelled,
           },
-          axisTick: { show: one.atRow === down.length - 1, ...labelled },
+          axisTick: { ...xEnds.axisTick, show: one.atRow === down.length - 1 },
         })),
         yAxis: cells.map((one, at) => ({
           gridIndex: at,
@@ -265,7 +262,7 @@ function mark(point, floor, ceiling, colour) {
       {
         value: [point.x, ceiling],
         point,
-        symbol: 'path://M0 0L10 10M10 0L0 10',
+        symbol: CROSS,
         symbolSize: 8,
         itemStyle: { borderColor: colour, borderWidth: 2 },
       },
@@ -298,16 +295,3 @@ const words = (text, x, y, rotation = 0) => ({
   silent: true,
   style: { text, align: 'center', verticalAlign: 'middle', fontSize: 12 },
 });
-
-/**
- * Ends of the horizontal axis: a little beyond the values, so that no point lies on the frame.
- * @param {number[]} values
- * @param {boolean} log
- */
-function spread(values, log) {
-  if (!values.length) return {};
-  const [low, high] = [Math.min(...values), Math.max(...values)];
-  if (log) return low > 0 ? { min: low / 1.15, max: high * 1.15 } : {};
-  const room = (high - low) * 0.07 || Math.abs(high) * 0.1 || 1;
-  return { min: low - room, max: high + room };
-}

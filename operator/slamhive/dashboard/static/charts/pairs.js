@@ -58,9 +58,10 @@ export function pairsChart(pairs, metric) {
       },
       yAxis: {
         ...rowAxis(
-          names.map((name, at) => `${at + 1}  ${clip(name, 40)}`),
+          names.map((name, at) => `${at + 1}\u00a0\u00a0${name}`),
           width,
           220,
+          { lines: 2 },
         ),
         axisTick: { show: false },
       },
@@ -85,6 +86,7 @@ export function pairsChart(pairs, metric) {
             fontSize: width < NARROW ? 9 : 12,
             formatter: (item) => item.data.told,
             color: '#16191d',
+            opacity: 1,
           },
           itemStyle: { borderColor: FAINT, borderWidth: 0.5 },
         },
@@ -106,5 +108,12 @@ const one = (pair, row, column, effect, won, lost) => ({
   pair,
   won,
   lost,
-  told: `${won}:${lost}${pair.pHolm !== null && pair.pHolm < 0.05 ? ' *' : ''}`,
+  told: `${won}:${lost}${sure(pair) ? ' *' : ''}`,
+  ...(!sure(pair) && { itemStyle: { opacity: 0.25 } }),
 });
+
+/**
+ * Tell whether a difference is more than chance.
+ * @param {Api.Pair} pair
+ */
+export const sure = ({ pHolm }) => pHolm !== null && pHolm < 0.05;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Reading the columnar answer of /api/v1/analysis/points. */
 import { axisName, cell, clip, ownTitle, SUBJECT } from '../core/format.js';
+import { roundEnds, triedEnds } from './limits.js';
 
 /**
  * An axis of points: numbers (shown unit) or categories.
@@ -106,12 +107,24 @@ export function axisOption(axis, { log = false, vertical = false } = {}) {
 }
 
 /**
- * The share of a sorted list: linear between its values.
- * @param {number[]} sorted
- * @param {number} share
+ * Return the ends of an axis for some points, so that charts can share them; {} for categories.
+ * @param {ReadAxis} axis
+ * @param {number[]} indices of the points
+ * @param {{log?: boolean, vertical?: boolean}} [how]
+ * @returns {Record<string, any>}
  */
-export function quantile(sorted, share) {
-  const place = (sorted.length - 1) * share;
-  const low = Math.floor(place);
-  return sorted[low] + (sorted[Math.ceil(place)] - sorted[low]) * (place - low);
+export function endsOf(axis, indices, { log = false, vertical = false } = {}) {
+  if (axis.categories) return {};
+  let [low, high] = [Infinity, -Infinity];
+  /** @type {Set<number>} */
+  const values = new Set();
+  for (const index of indices) {
+    const value = axis.at(index);
+    if (value === null || (log && value <= 0)) continue;
+    [low, high] = [Math.min(low, value), Math.max(high, value)];
+    values.add(value);
+  }
+  if (low > high) return {};
+  if (axis.heading.kind === 'time') return { min: low, max: high > low ? high : low + 1000 };
+  return vertical ? roundEnds({ low, high }, { log }) : triedEnds([...values], log);
 }

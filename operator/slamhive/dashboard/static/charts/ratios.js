@@ -2,14 +2,15 @@
 /** What a change did in each setting: median after over median before. */
 import { COLOURS } from '../core/chart.js';
 import { cell, clip, number, signOf } from '../core/format.js';
-import { labelRoom, rowAxis } from './rows.js';
+import { crossed, withField } from './failures.js';
+import { labelRoom, lineAtOne, rowAxis } from './rows.js';
 
 const MOST = 40;
 const WIDE_RANGE = 5;
 const NARROW = 560;
 const SIGNS = {
   better: ['circle', COLOURS[2]],
-  worse: ['diamond', COLOURS[5]],
+  worse: ['diamond', COLOURS[4]],
   same: ['emptyCircle', COLOURS[8]],
 };
 
@@ -67,66 +68,58 @@ export function ratioChart(change, metric) {
   if (shown.length === 0) return null;
   const [least, most] = [Math.min(1, ...known), Math.max(1, ...known)];
   const log = most / least > WIDE_RANGE;
-  /** @param {Api.Setting} one */
-  const place = (one) =>
-    !failed(one) && Number(one.ratio) > 0
-      ? one.ratio
-      : verdict(one, sign) === 'same'
-        ? 1
-        : (verdict(one, sign) === 'better') === sign > 0
-          ? least / 1.1
-          : most * 1.1;
   const told = toldApart(shown);
   return {
     height: 100 + shown.length * 26,
-    option: ({ width }) => ({
-      grid: { left: labelRoom(width, 280), right: 30, top: 30, bottom: 50 },
-      tooltip: {
-        trigger: 'item',
-        formatter: (item) =>
-          item.data?.one
-            ? `${clip(settingText(item.data.one.keys, told), 120)}\n${words(item.data.one)}`
-            : '',
-      },
-      xAxis: {
-        type: log ? 'log' : 'value',
-        scale: true,
-        name: width < NARROW ? 'after / before' : 'median after over median before',
-        nameGap: 28,
-        axisLabel: { formatter: (value) => number(value, 3) },
-      },
-      yAxis: rowAxis(
-        shown.map((one) => clip(settingText(one.keys, told, width < NARROW), 60)),
-        width,
-        280,
-      ),
-      series: [
+    option: ({ width }) =>
+      withField(
         {
-          type: 'scatter',
-          data: shown.map((one, at) => {
-            const [symbol, told] = SIGNS[verdict(one, sign)];
-            // Nothing is good or bad of a figure of which nobody has said which way is good.
-            const color = metric.better || failed(one) ? told : COLOURS[0];
-            return {
-              value: [place(one), at],
-              one,
-              symbolSize: failed(one) ? 14 : 11,
-              symbol: failed(one) ? 'path://M0,0L10,10M10,0L0,10' : symbol,
-              itemStyle: { color, borderColor: color, borderWidth: failed(one) ? 2 : 0 },
-            };
-          }),
-          markLine: {
-            silent: true,
-            symbol: 'none',
-            data: [{ xAxis: 1 }],
-            label: { formatter: 'as before', position: 'start', color: 'inherit' },
-            lineStyle: { type: 'dashed' },
+          grid: { left: labelRoom(width, 280), right: 30, top: 30, bottom: 50 },
+          tooltip: {
+            trigger: 'item',
+            formatter: (/** @type {Item} */ item) =>
+              item.data?.one
+                ? `${clip(settingText(item.data.one.keys, told), 120)}\n${words(item.data.one)}`
+                : '',
           },
+          xAxis: {
+            type: log ? 'log' : 'value',
+            scale: true,
+            name: width < NARROW ? 'after / before' : 'median after over median before',
+            nameGap: 28,
+            axisLabel: { formatter: (/** @type {number} */ value) => number(value, 3) },
+          },
+          yAxis: rowAxis(
+            shown.map((one) => settingText(one.keys, told, width < NARROW)),
+            width,
+            280,
+          ),
+          series: [
+            {
+              type: 'scatter',
+              data: shown.flatMap((one, at) => {
+                if (failed(one) || one.ratio === null || (log && one.ratio <= 0)) return [];
+                const [symbol, told] = SIGNS[verdict(one, sign)];
+                // Nothing is good or bad of a figure of which nobody has said which way is good.
+                const color = metric.better ? told : COLOURS[0];
+                return [{ value: [one.ratio, at], one, symbolSize: 11, symbol, itemStyle: { color } }];
+              }),
+              markLine: lineAtOne('as before'),
+            },
+            // Nobody sees it: it keeps 1 on the axis.
+            { type: 'scatter', silent: true, symbolSize: 0.1, itemStyle: { opacity: 0 }, data: [[1, 0]] },
+          ],
         },
-        // Nobody sees it: it keeps 1 on the axis.
-        { type: 'scatter', silent: true, symbolSize: 0.1, itemStyle: { opacity: 0 }, data: [[1, 0]] },
-      ],
-    }),
+        'beside',
+        [
+          {
+            data: shown.flatMap((one, at) =>
+              failed(one) ? [{ value: [0, at], one, itemStyle: crossed(SIGNS[verdict(one, sign)][1]) }] : [],
+            ),
+          },
+        ],
+        width,
+      ),
   };
 }
 

@@ -2,10 +2,9 @@
 /** A recording: what covers which time, how often messages come, the path, the IMU. */
 import { COLOURS } from '../core/chart.js';
 import { clip, number } from '../core/format.js';
+import { SCALE } from '../core/scale.js';
 import { plane } from './trajectory.js';
 
-/** Colours of a path from its begin to its end. */
-const TIME = ['#440154', '#3b528b', '#21918c', '#5ec962', '#d8b000'];
 const GAP = 'rgba(192, 57, 43, 0.25)';
 
 /**
@@ -56,14 +55,14 @@ export function spans({ first, last, gaps }) {
  * @returns {(size: Size) => ChartOption}
  */
 export const path = (truth, a, b) => (size) => {
-  const option = plane([], /** @type {any} */ (truth), a, b, null)(size);
-  const step = Math.max(1, Math.ceil(truth.t.length / TIME.length));
+  const option = plane([], [{ name: 'ground truth', track: /** @type {any} */ (truth) }], a, b, null)(size);
+  const step = Math.max(1, Math.ceil(truth.t.length / SCALE.length));
   return {
     ...option,
     legend: undefined,
     tooltip: undefined,
     series: [
-      ...TIME.map((color, at) => ({
+      ...SCALE.map((color, at) => ({
         type: 'line',
         symbol: 'none',
         color,
@@ -77,7 +76,7 @@ export const path = (truth, a, b) => (size) => {
         name: 'start',
         symbol: 'emptyCircle',
         symbolSize: 12,
-        color: TIME[0],
+        color: SCALE[0],
         data: [[truth[a][0], truth[b][0]]],
       },
     ],

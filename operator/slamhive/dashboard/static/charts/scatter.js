@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-/** Points, one a run; what failed is drawn above all others, as in the original SLAM Hive. */
+/** Points, one a run; what failed is drawn in a field above the others. */
 import { COLOURS } from '../core/chart.js';
 import { clip, namedText } from '../core/format.js';
-import { asCategories, axisOption, readAxis } from './points.js';
+import { SCALE } from '../core/scale.js';
+import { crossed, withField } from './failures.js';
+import { asCategories, axisOption, endsOf, readAxis } from './points.js';
 
 /** @type {Record<string, string>} */
 const SHAPES = { Tracked: 'circle', Partial: 'circle', Lost: 'triangle', Diverged: 'diamond' };
@@ -12,11 +14,12 @@ const MANY = 3000;
  * Return the option of a scatter chart.
  * @param {Api.Points} data answer of analysis/points
  * @param {number[]} indices which of its points
- * @param {{xlog: boolean, ylog: boolean, top: number|null}} settings top: where points without y are drawn
+ * @param {{xlog: boolean, ylog: boolean, own?: boolean}} settings own: its axes are for its own points alone,
+ *   not for those of all
  * @param {Api.PublishedRow[]} [beside] published numbers, drawn hollow beside the runs
  * @returns {ChartOption}
  */
-export function scatter(data, indices, { xlog, ylog, top }, beside = []) {
+export function scatter(data, indices, { xlog, ylog, own = false }, beside = []) {
   const x = readAxis(data.axes.x);
   const y = readAxis(data.axes.y);
   const status = data.status ? readAxis(data.status) : null;
@@ -24,12 +27,7 @@ export function scatter(data, indices, { xlog, ylog, top }, beside = []) {
   const groups = colour && asCategories(colour, data.count, 20);
   const continuous = colour && !groups;
   /** @param {number} index */
-  const place = (index) => [
-    x.at(index),
-    y.at(index) ?? top,
-    index,
-    ...(continuous ? [colour.at(index)] : []),
-  ];
+  const place = (index) => [x.at(index), y.at(index), index, ...(continuous ? [colour.at(index)] : [])];
   const large = indices.length > MANY;
   /**
    * @param {number} point
@@ -39,12 +37,6 @@ export function scatter(data, indices, { xlog, ylog, top }, beside = []) {
     const value = place(point);
     if (large) return value;
     const state = status?.text(point) ?? 'Tracked';
-    if (y.at(point) === null)
-      return {
-        value,
-        symbol: 'path://M0 0L10 10M10 0L0 10',
-        itemStyle: { borderColor: ink, borderWidth: 1.8 },
-      };
     // What did not track to the end is hollow. Where colours tell a number, the drawing library gives them to
     // the fill alone.
     if (state === 'Tracked' || continuous) return { value, symbol: SHAPES[state] ?? 'rect' };
@@ -54,7 +46,8 @@ export function scatter(data, indices, { xlog, ylog, top }, beside = []) {
       itemStyle: { color: 'transparent', borderColor: ink, borderWidth: 1.8 },
     };
   };
-  const kept = indices.filter((index) => x.at(index) !== null && place(index)[1] !== null);
+  const known = indices.filter((index) => x.at(index) !== null);
+  const kept = known.filter((index) => y.at(index) !== null);
   const shared = {
     type: 'scatter',
     symbolSize: large ? 3 : 9,
@@ -72,12 +65,25 @@ export function scatter(data, indices, { xlog, ylog, top }, beside = []) {
   for (const index of kept) parts[groups ? (groups.at(index) ?? named.length - 1) : 0].push(index);
   const series = parts.map((members, number) => ({
     ...shared,
-    name: clip(named[number], 40),
+    name: clip(named[number], 90),
     color: COLOURS[number % COLOURS.length],
     data: members.map((point) => dress(point, COLOURS[number % COLOURS.length])),
     id: String(number),
   }));
   series.push(...publishedSeries(data, beside));
+  const crosses = named.map((_, number) => ({
+    data: known
+      .filter(
+        (index) => y.at(index) === null && (groups ? (groups.at(index) ?? named.length - 1) : 0) === number,
+      )
+      .map((index) => ({
+        value: [x.at(index), 0, index],
+        itemStyle: crossed(continuous ? undefined : COLOURS[number % COLOURS.length]),
+      })),
+  }));
+  /** The points for which axes have room: of all charts, or those of this one. @param {number[]} points */
+  const among = (points) =>
+    data.axes.facet && !own ? Array.from({ length: data.count }, (_, index) => index) : points;
   /** @param {Item} item */
   const tell = (item) => {
     if (item.data?.published) return publishedText(item.data.published);
@@ -90,7 +96,7 @@ export function scatter(data, indices, { xlog, ylog, top }, beside = []) {
       status?.text(index) ?? '',
     ].join('\n');
   };
-  return {
+  const option = {
     grid: {
       left: 72,
       right: continuous ? 90 : 24,
@@ -103,8 +109,11 @@ export function scatter(data, indices, { xlog, ylog, top }, beside = []) {
         : undefined,
     tooltip: { trigger: 'item', formatter: tell },
     visualMap: continuous ? range(kept.map(colour.at), colour.heading.title) : undefined,
-    xAxis: axisOption(x, { log: xlog }),
-    yAxis: axisOption(y, { log: ylog, vertical: true }),
+    xAxis: { ...axisOption(x, { log: xlog }), ...endsOf(x, among(known), { log: xlog }) },
+    yAxis: {
+      ...axisOption(y, { log: ylog, vertical: true }),
+      ...(data.axes.facet && !own && endsOf(y, among(kept), { log: ylog, vertical: true })),
+    },
     brush: {
       xAxisIndex: 0,
       yAxisIndex: 0,
@@ -116,6 +125,7 @@ export function scatter(data, indices, { xlog, ylog, top }, beside = []) {
     toolbox: { show: false },
     series,
   };
+  return withField(option, 'above', crosses);
 }
 
 /**
@@ -132,7 +142,7 @@ function range(values, title) {
     text: [clip(title, 16), ''],
     right: 0,
     top: 'middle',
-    inRange: { color: ['#440154', '#31688e', '#35b779', '#d8b000'] },
+    inRange: { color: SCALE },
   };
 }
 

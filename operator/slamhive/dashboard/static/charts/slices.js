@@ -3,6 +3,7 @@
 import { COLOURS } from '../core/chart.js';
 import { axisName, cell, clip, number, signOf } from '../core/format.js';
 import { robustLimits, roundEnds } from './limits.js';
+import { CROSS } from './failures.js';
 
 /**
  * Return the limits that the slices of a board share.
@@ -89,7 +90,7 @@ export function sliceChart(metric, setting, cells, limits, log) {
           one.median === null
             ? {
                 value: [at, one.total ? failed : '-'],
-                symbol: 'path://M0 0L10 10M10 0L0 10',
+                symbol: CROSS,
                 itemStyle: { color: 'transparent', borderColor: '#c0392b', borderWidth: 2 },
               }
             : {

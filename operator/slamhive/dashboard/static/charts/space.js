@@ -1,11 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Paths in three dimensions, seen from any side: lengths stay true (no perspective), z points up. */
 import { number } from '../core/format.js';
-import { pieces, ramp } from './trajectory.js';
+import { ramp } from '../core/scale.js';
+import { endsOf, pieces } from './trajectory.js';
 
 const RADIANS = Math.PI / 180;
 const CHUNK = 12;
 const STEPS = 24;
+/** Pixels of the ring where a path begins, and of the dot where it ends. */
+const RING = 7;
+const DOT = 8;
 
 /**
  * What is drawn, independent of where it is seen from.
@@ -28,7 +32,14 @@ export function scene(paths, range) {
   const [low, high] = [end(Math.min, Infinity), end(Math.max, -Infinity)];
   const middle = low.map((value, axis) => (value + high[axis]) / 2);
   const half = low.map((value, axis) => (high[axis] - value) / 2);
-  return { chunks, low, high, middle, round: Math.hypot(half[0], half[1]), tall: half[2] };
+  const ends = paths
+    .filter((path) => !path.under)
+    .flatMap((path, index) => {
+      const found = endsOf(path, index, Boolean(path.error));
+      const { x, y, z } = path.track;
+      return found ? [{ colour: found.colour, points: found.places.map((at) => [x[at], y[at], z[at]]) }] : [];
+    });
+  return { chunks, ends, low, high, middle, round: Math.hypot(half[0], half[1]), tall: half[2] };
 }
 
 /**
@@ -140,6 +151,19 @@ export function drawing(found, view, width, height, ink) {
       };
     })
     .sort((one, other) => Number(other.under) - Number(one.under) || one.depth - other.depth);
+  for (const { points, colour } of found.ends) {
+    const [[x, y], last] = points.map(project);
+    const ring = Array.from({ length: 25 }, (_, step) => (step * Math.PI) / 12).map((angle) => [
+      x + RING * Math.cos(angle),
+      y + RING * Math.sin(angle),
+    ]);
+    lines.push({ points: ring, colour, width: 2, under: false, depth: Infinity });
+    lines.push({ points: [last, last], colour, width: DOT, under: false, depth: Infinity });
+    if (found.ends.length === 1) {
+      texts.push({ text: 'start', colour, at: [x, y - 15] });
+      texts.push({ text: 'end', colour, at: [last[0], last[1] + 15] });
+    }
+  }
   return { lines: [...edges, ...lines], texts };
 }
 

@@ -2,7 +2,7 @@
 /** How far repetitions lie from each other, and scales from 1. */
 import { COLOURS } from '../core/chart.js';
 import { clip, keysText, namedValue, number, SUBJECT } from '../core/format.js';
-import { labelRoom, rowAxis, rowLines } from './rows.js';
+import { labelRoom, lineAtOne, rowAxis, rowLines } from './rows.js';
 
 const MOST = 30;
 
@@ -37,7 +37,7 @@ export function spreadChart(data) {
       (name) => repeated.length === 1 || new Set(repeated.map((group) => String(group.keys[name]))).size > 1,
     );
   /** @param {{keys: Api.Keys}} group */
-  const name = (group) => clip(told.map((key) => namedValue(key, group.keys[key])).join(', '), 60);
+  const name = (group) => told.map((key) => namedValue(key, group.keys[key])).join(', ');
   /**
    * @param {{median: number}} group
    * @param {number} value
@@ -53,7 +53,7 @@ export function spreadChart(data) {
           if (!point?.group) return '';
           const median = number(point.group.median * (data.metric.factor ?? 1));
           return [
-            name(point.group),
+            clip(name(point.group), 60),
             `${number(point.value[0], 4)} of the median ${median}`,
             clip(point.group.verdict, 120),
           ].join('\n');
@@ -65,11 +65,11 @@ export function spreadChart(data) {
         name: width < 560 ? 'run / median' : 'run over the median of its configuration',
         nameGap: 26,
       },
-      yAxis: rowAxis(repeated.map(name), width, 290),
+      yAxis: rowAxis(repeated.map(name), width, 290, { lines: 2 }),
       series: [
         rowLines(
           repeated.map((group, at) => [over(group, group.low), over(group, group.high), at]),
-          { stroke: COLOURS[4], lineWidth: 5, opacity: 0.45 },
+          { stroke: COLOURS[5], lineWidth: 5, opacity: 0.45 },
         ),
         {
           type: 'scatter',
@@ -107,7 +107,7 @@ export function suspectChart(items) {
       },
       xAxis: { type: 'value', scale: true, name: 'scale of the alignment', nameGap: 26 },
       yAxis: rowAxis(
-        shown.map((item) => clip(keysText(item.keys), 46)),
+        shown.map((item) => keysText(item.keys)),
         width,
         280,
       ),
@@ -115,15 +115,9 @@ export function suspectChart(items) {
         {
           type: 'scatter',
           symbolSize: 11,
-          color: COLOURS[5],
+          color: COLOURS[4],
           data: shown.map((item, at) => ({ value: [item.scale, at], item })),
-          markLine: {
-            silent: true,
-            symbol: 'none',
-            data: [{ xAxis: 1 }],
-            label: { formatter: 'true to scale', position: 'start', color: 'inherit' },
-            lineStyle: { type: 'dashed' },
-          },
+          markLine: lineAtOne('true to scale'),
         },
       ],
     }),

@@ -278,8 +278,10 @@ export function usedText({ bars, bins, lanes, extent: [low, high] }) {
     }
   }
   const lane = lanes.length === 1 ? 'the lane' : `the ${lanes.length} lanes`;
+  const other = number(100 * Math.max(0, 1 - running - preparing), 3);
   return [
     `Of the ${duration(high - low)} of ${lane}, ${number(100 * running, 3)} % were spent running`,
-    `and ${number(100 * preparing, 3)} % preparing; evaluation is not noted, and is part of the rest.`,
+    `and ${number(100 * preparing, 3)} % preparing. Of the other ${other} %`,
+    'nobody noted how much was evaluation, and how much nothing.',
   ].join(' ');
 }

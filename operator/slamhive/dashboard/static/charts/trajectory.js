@@ -2,6 +2,7 @@
 /** Trajectories from above and from the sides, and what happened over time. */
 import { COLOURS, legendOfLines } from '../core/chart.js';
 import { clip, number } from '../core/format.js';
+import { SCALE } from '../core/scale.js';
 
 /** The three planes: name and the two axes. */
 /** @type {Array<[string, Axis, Axis]>} */
@@ -14,27 +15,21 @@ export const PLANES = [
 /** Colour of the ground truth. */
 export const TRUTH = '#8a929b';
 
-/** Error colours, from none to the largest. */
-export const RAMP = [
-  [33, 102, 172],
-  [53, 183, 121],
-  [230, 184, 0],
-  [215, 48, 31],
-];
-
-/**
- * Return the colour of a share from 0 to 1.
- * @param {number} share
- */
-export function ramp(share) {
-  const place = Math.min(1, Math.max(0, share)) * (RAMP.length - 1);
-  const low = Math.min(RAMP.length - 2, Math.floor(place));
-  const mixed = RAMP[low].map((value, at) => Math.round(value + (RAMP[low + 1][at] - value) * (place - low)));
-  return `rgb(${mixed.join(',')})`;
-}
-
 const MARGIN = { left: 64, right: 20, top: 40, bottom: 52 };
 const GAP = 8;
+/** Characters of a name in a legend: a name of Kubernetes has 63 at most. */
+const NAME = 90;
+/** One colour of errors is grey, too. */
+const DASHED = 'path://M0 0L0 0M0 5L7 5L7 9L0 9ZM11 5L18 5L18 9L11 9ZM18 14L18 14';
+/** What a path coloured by its errors looks like in a legend. */
+const GRADIENT = {
+  type: 'linear',
+  x: 0,
+  x2: 1,
+  y: 0,
+  y2: 0,
+  colorStops: SCALE.map((color, at) => ({ offset: at / (SCALE.length - 1), color })),
+};
 
 /**
  * Return the places [from, to) between which something was sampled without a gap: one that is 8 times the
@@ -53,15 +48,13 @@ export function pieces({ t }) {
 }
 
 /**
- * Return the least and the largest error of some tracks; null where none has one.
+ * Return 0 and the largest error of some tracks; null where none has one.
  * @param {Array<{error?: Api.Numbers|null}>} tracks
  * @returns {ErrorRange}
  */
 export function errorRange(tracks) {
   const errors = tracks.flatMap((track) => track.error ?? []).filter((value) => value !== null);
-  return errors.length
-    ? { low: errors.reduce((a, b) => Math.min(a, b)), high: errors.reduce((a, b) => Math.max(a, b)) }
-    : null;
+  return errors.length ? { low: 0, high: errors.reduce((a, b) => Math.max(a, b)) } : null;
 }
 
 /**
@@ -85,20 +78,53 @@ const withErrors = (track, a, b) =>
   track[a].map((value, at) => [value, track[b][at], track.error?.[at] ?? '-']);
 
 /**
+ * Return the ground truths of runs of a dataset, one for each frame that poses are of, as the LiDAR's and
+ * the IMU's.
+ * @param {Array<{of: string, reference: Api.Track|null}>} runs of: what has a frame
+ * @returns {Truth[]}
+ */
+export function truthsOf(runs) {
+  /** @type {Array<{track: Api.Track, of: Set<string>}>} */
+  const found = [];
+  for (const { of, reference: track } of runs) {
+    if (!track) continue;
+    const same = found.find((one) => !apart(one.track, track));
+    if (same) same.of.add(of);
+    else found.push({ track, of: new Set([of]) });
+  }
+  return found.map(({ track, of }) => ({
+    track,
+    name: found.length > 1 ? `ground truth of ${[...of].join(', ')}` : 'ground truth',
+  }));
+}
+
+/**
+ * Tell whether two tracks are a millimetre or more apart at the first time that both have.
+ * @param {Api.Track} one
+ * @param {Api.Track} other
+ */
+function apart(one, other) {
+  const places = new Map(other.t.map((t, at) => [t, at]));
+  const a = one.t.findIndex((t) => places.has(t));
+  const b = places.get(one.t[a]) ?? -1;
+  return a >= 0 && Math.hypot(one.x[a] - other.x[b], one.y[a] - other.y[b], one.z[a] - other.z[b]) > 1e-3;
+}
+
+/**
  * Return the option of a plane, metres equally long on both axes: a function of the chart's size.
  * @param {Array<{name: string, track: Api.Track, colour?: string}>} estimates
- * @param {Api.Track|null} reference ground truth
+ * @param {Truth[]} truths of truthsOf
  * @param {Axis} a horizontal axis
  * @param {Axis} b vertical axis
  * @param {ErrorRange} range of the errors, which colour the paths; null: each path has a colour of its own
  * @param {Api.Track|null} [surveyed] control points, in the place of ground truth
  * @returns {(size: Size) => ChartOption}
  */
-export function plane(estimates, reference, a, b, range, surveyed = null) {
+export function plane(estimates, truths, a, b, range, surveyed = null) {
   return ({ width, height }) => {
     const right = range ? 92 : MARGIN.right;
     const [spanA, spanB] = equal(
-      [...estimates.map((one) => one.track), ...[reference, surveyed].flatMap((one) => one ?? [])],
+      [...[...estimates, ...truths].map((one) => one.track), ...(surveyed ? [surveyed] : [])],
       a,
       b,
       (width - MARGIN.left - right) / (height - MARGIN.top - MARGIN.bottom),
@@ -107,45 +133,53 @@ export function plane(estimates, reference, a, b, range, surveyed = null) {
     const points = (track) => broken(track, (index) => [track[a][index], track[b][index]]);
     return {
       grid: { ...MARGIN, right },
-      legend: legendOfLines(),
-      tooltip: { trigger: 'item', formatter: (item) => `${item.seriesName}\n${tell(item.value, a, b)}` },
+      legend: range
+        ? {
+            ...legendOfLines(),
+            data: [
+              ...truths.map((one) => ({ name: clip(one.name, NAME), icon: DASHED })),
+              ...estimates.map((one) => ({ name: clip(one.name, NAME), itemStyle: { color: GRADIENT } })),
+              ...(surveyed ? ['control points'] : []),
+            ],
+          }
+        : legendOfLines(),
+      tooltip: {
+        trigger: 'item',
+        formatter: (item) => `${item.name || item.seriesName}\n${tell(item.value, a, b)}`,
+      },
       xAxis: { type: 'value', name: `${a} [m]`, nameGap: 26, ...spanA, ...EDGES },
       yAxis: { type: 'value', name: `${b} [m]`, nameGap: 44, ...spanB, ...EDGES },
       visualMap: range
         ? {
             type: 'continuous',
             seriesIndex: [...estimates, ...(surveyed ? [surveyed] : [])].map(
-              (_, at) => at + estimates.length + (reference ? 1 : 0),
+              (_, at) => at + estimates.length + truths.length,
             ),
             dimension: 2,
-            min: range.low,
+            min: 0,
             max: range.high,
             right: 0,
             top: 'middle',
             itemHeight: 110,
-            text: [`${number(range.high, 3)} m`, `${number(range.low, 3)} m`],
-            inRange: { color: RAMP.map((one) => `rgb(${one.join(',')})`) },
+            text: [`${number(range.high, 3)} m`, '0 m'],
+            inRange: { color: SCALE },
           }
         : undefined,
       series: [
-        ...(reference
-          ? [
-              {
-                type: 'line',
-                name: 'ground truth',
-                data: points(reference),
-                showSymbol: false,
-                color: TRUTH,
-                lineStyle: { width: 4, opacity: 0.45 },
-                z: 1,
-              },
-            ]
-          : []),
+        ...truths.map((one, at) => ({
+          type: 'line',
+          name: clip(one.name, NAME),
+          data: points(one.track),
+          showSymbol: false,
+          color: TRUTH,
+          lineStyle: { width: 4, opacity: 0.45, type: range || at ? 'dashed' : 'solid' },
+          z: 1,
+        })),
         // Poses without an error, which have no ground truth near them, are seen as a thin line.
         ...(range
           ? estimates.map((one, index) => ({
               type: 'line',
-              name: clip(one.name, 40),
+              name: clip(one.name, NAME),
               showSymbol: false,
               silent: true,
               data: points(one.track),
@@ -156,17 +190,10 @@ export function plane(estimates, reference, a, b, range, surveyed = null) {
           : []),
         ...estimates.map((one, index) =>
           range
-            ? {
-                type: 'scatter',
-                z: 3,
-                name: clip(one.name, 40),
-                symbolSize: 4,
-                symbol: SYMBOLS[index % SYMBOLS.length],
-                data: withErrors(one.track, a, b),
-              }
+            ? coloured(one, a, b)
             : {
                 type: 'line',
-                name: clip(one.name, 40),
+                name: clip(one.name, NAME),
                 showSymbol: false,
                 data: points(one.track),
                 color: one.colour ?? COLOURS[index % COLOURS.length],
@@ -187,12 +214,88 @@ export function plane(estimates, reference, a, b, range, surveyed = null) {
               },
             ]
           : []),
+        ...marks(estimates, a, b, range !== null),
       ],
     };
   };
 }
 
-const SYMBOLS = ['circle', 'triangle', 'rect', 'diamond'];
+/**
+ * Return the series of a path whose colours tell its errors; where they aren't known it has no line.
+ * @param {{name: string, track: Api.Track}} one
+ * @param {Axis} a
+ * @param {Axis} b
+ */
+function coloured({ name, track }, a, b) {
+  const data = withErrors(track, a, b);
+  // A pose alone is a dot.
+  const next = new Map(
+    pieces(track).flatMap(([from, to]) =>
+      to - from === 1
+        ? [[from, from]]
+        : Array.from({ length: to - from - 1 }, (_, at) => [from + at, from + at + 1]),
+    ),
+  );
+  return {
+    type: 'custom',
+    z: 3,
+    name: clip(name, NAME),
+    data,
+    renderItem: (/** @type {any} */ { dataIndex: at }, /** @type {any} */ api) => {
+      const to = next.get(at);
+      if (data[at][2] === '-' || to === undefined) return null;
+      const [[x1, y1], [x2, y2]] = [api.coord(data[at]), api.coord(data[to])];
+      const style = { stroke: api.visual('color'), lineWidth: 3, lineCap: 'round' };
+      return { type: 'line', shape: { x1, y1, x2, y2 }, style };
+    },
+  };
+}
+
+/** Colour of the ends of a path whose colours tell its errors: none of theirs. */
+const ENDS = '#d55e00';
+
+/**
+ * Return the ends of a path: the places of its poses, what each is called, and the colour of their marks.
+ * @param {{track: Api.Track, colour?: string}} path
+ * @param {number} index of it among others
+ * @param {boolean} byError
+ */
+export const endsOf = ({ track, colour }, index, byError) =>
+  track.t.length
+    ? {
+        places: [0, track.t.length - 1],
+        colour: byError ? ENDS : (colour ?? COLOURS[index % COLOURS.length]),
+      }
+    : null;
+
+/**
+ * The series that mark where paths begin, by a ring, and end, by a dot: both are seen where a path is closed.
+ * They have no names, so no place in the legend.
+ * @param {Array<{track: Api.Track, colour?: string}>} estimates
+ * @param {Axis} a
+ * @param {Axis} b
+ * @param {boolean} byError
+ */
+const marks = (estimates, a, b, byError) =>
+  ['start', 'end'].map((name, which) => ({
+    type: 'scatter',
+    symbol: which ? 'circle' : 'emptyCircle',
+    symbolSize: which ? 8 : 15,
+    z: 5,
+    label: {
+      show: estimates.length === 1,
+      formatter: name,
+      position: which ? 'bottom' : 'top',
+      color: 'inherit',
+    },
+    data: estimates.flatMap((one, index) => {
+      const found = endsOf(one, index, byError);
+      if (!found) return [];
+      const at = found.places[which];
+      const itemStyle = { color: found.colour, borderWidth: which ? 0 : 2 };
+      return [{ name, value: [one.track[a][at], one.track[b][at]], itemStyle }];
+    }),
+  }));
 
 /**
  * @param {any[]} point
@@ -283,7 +386,7 @@ export function overTime(
     yAxis: { type: 'value', name: title, nameGap: 52, axisLine: { onZero: false } },
     series: lines.map((line, index) => ({
       type: 'line',
-      name: clip(line.name, 40),
+      name: clip(line.name, NAME),
       showSymbol: false,
       color: line.colour ?? COLOURS[index % COLOURS.length],
       lineStyle: { width: 1.5 },

@@ -20,6 +20,7 @@ const OWN = new Set([
   'figure',
   'xlog',
   'ylog',
+  'scales',
   'embed',
   'sort',
   'columns',

@@ -2,16 +2,17 @@
 /** A chart with what belongs to it: its table, its CSV, its picture. */
 import { fileName, Framed, inks, isDark, save, saveSvg } from './figure.js';
 import { clip } from './format.js';
+import { fitted } from './legend.js';
 import { html, useEffect, useLayoutEffect, useRef, useState } from './ui.js';
 
-/** Okabe and Ito's colours, distinguishable to the colour-blind; black is left out for the dark theme. */
+/** Okabe and Ito's colours, for colour-blind eyes; as in reports and figures, without black (dark theme). */
 export const COLOURS = [
   '#0072b2',
   '#e69f00',
   '#009e73',
   '#cc79a7',
-  '#56b4e9',
   '#d55e00',
+  '#56b4e9',
   '#8c6bb1',
   '#a6761d',
   '#7f7f7f',
@@ -31,7 +32,7 @@ const LINES = { icon: 'path://M0 0L0 0M0 5L18 5L18 9L0 9ZM18 14L18 14', itemHeig
  * @param {string[]} [names]
  */
 export const legendOfLines = (names) =>
-  names ? { ...LINES, data: names.map((name) => clip(name, 50)) } : LINES;
+  names ? { ...LINES, data: names.map((name) => clip(name, 90)) } : LINES;
 
 /** @type {Promise<typeof import('/vendor/echarts.mjs')>|undefined} */
 let loading;
@@ -78,11 +79,11 @@ export function dressed(option, dark) {
     out.legend = {
       type: 'scroll',
       top: 0,
-      textStyle: { color: ink.text },
       inactiveColor: ink.line,
       pageTextStyle: { color: ink.text },
       pageIconColor: ink.text,
       ...option.legend,
+      textStyle: { color: ink.text, ...option.legend.textStyle },
     };
   if (option.graphic)
     out.graphic = option.graphic.map((/** @type {any} */ one) => ({
@@ -104,10 +105,11 @@ export function dressed(option, dark) {
 
 /**
  * @param {Sized} option
- * @param {HTMLElement} box
+ * @param {number} width
+ * @param {number} height
  */
-const sized = (option, box) =>
-  typeof option === 'function' ? option({ width: box.clientWidth, height: box.clientHeight }) : option;
+const sized = (option, width, height) =>
+  fitted(typeof option === 'function' ? option({ width, height }) : option, width);
 
 /**
  * @param {import('/vendor/echarts.mjs').Instance|null} chart
@@ -145,16 +147,20 @@ export function Chart({
   const chart = useRef(null);
   const current = useRef(/** @type {any} */ ({}));
   const [failed, setFailed] = useState(null);
-  current.current = { option, onClick, events, brushing, group };
+  current.current = { option, onClick, events, brushing, group, height };
+  const draw = () => {
+    const width = box.current.clientWidth;
+    const { option: made, more } = sized(current.current.option, width, current.current.height);
+    box.current.style.height = `${current.current.height + more}px`;
+    chart.current.resize();
+    chart.current.setOption(dressed(made, isDark()), { notMerge: true });
+  };
 
   useLayoutEffect(() => {
     let ended = false;
     /** @type {ResizeObserver|null} */
     let watcher = null;
-    const draw = () =>
-      chart.current?.setOption(dressed(sized(current.current.option, box.current), isDark()), {
-        notMerge: true,
-      });
+    const again = () => chart.current && draw();
     load().then(
       (echarts) => {
         if (ended) return;
@@ -172,25 +178,26 @@ export function Chart({
         draw();
         if (current.current.option.brush) take(chart.current, current.current.brushing);
         box.current.dataset.drawn = 'yes';
+        let drawn = box.current.clientWidth;
         watcher = new ResizeObserver(() => {
-          chart.current?.resize();
-          if (typeof current.current.option === 'function') draw();
+          if (box.current && box.current.clientWidth !== drawn) again();
+          drawn = box.current?.clientWidth;
         });
         watcher.observe(box.current);
       },
       () => setFailed('The chart library could not be loaded; the table below has the numbers.'),
     );
-    addEventListener('themechange', draw);
+    addEventListener('themechange', again);
     return () => {
       ended = true;
-      removeEventListener('themechange', draw);
+      removeEventListener('themechange', again);
       watcher?.disconnect();
       chart.current?.dispose();
       chart.current = null;
     };
   }, []);
   useEffect(() => {
-    chart.current?.setOption(dressed(sized(option, box.current), isDark()), { notMerge: true });
+    if (chart.current) draw();
     if ('brush' in option) take(chart.current, brushing);
   }, [option, brushing]);
 
@@ -205,13 +212,10 @@ export function Chart({
     );
   const svg = async () => {
     const echarts = await load();
-    const paper = echarts.init(null, null, {
-      renderer: 'svg',
-      ssr: true,
-      width: box.current.clientWidth,
-      height,
-    });
-    paper.setOption(dressed(sized(current.current.option, box.current), false));
+    const width = box.current.clientWidth;
+    const { option: made, more } = sized(option, width, height);
+    const paper = echarts.init(null, null, { renderer: 'svg', ssr: true, width, height: height + more });
+    paper.setOption(dressed(made, false));
     saveSvg(paper.renderToSVGString(), fileName(title, 'svg'));
     paper.dispose();
   };

@@ -64,6 +64,16 @@ export const isEmpty = (columns) => columns.data?.rows === 0 && columns.data.not
  */
 export const isNumeric = (column) => ['number', 'integer', 'time'].includes(column.kind ?? '');
 
+/** Groups of columns that say what was run, not what came of it. */
+const GIVEN = ['run', 'parameters', 'input', 'resources', 'dataset', 'labels', 'provenance'];
+
+/**
+ * True for columns by which runs can be measured: a number of a repetition or a seed is no result.
+ * @param {{kind?: string, group: string}} column
+ */
+export const isMeasure = (column) =>
+  isNumeric(column) && column.kind !== 'time' && !GIVEN.includes(column.group);
+
 /** @param {[string, string|null]} pair */
 const text = (pair) =>
   pair[1] === null ? pair[0] : /[<>!]$/.test(pair[0]) ? `${pair[0]}=${pair[1]}` : `${pair[0]} = ${pair[1]}`;

@@ -53,6 +53,19 @@ export function cell(value, heading) {
 }
 
 /**
+ * Return blanks as wide as the digits that numbers of a column lack behind their point, so that points stand
+ * below one another: a zero there would say more than is known.
+ * @param {string[]} texts
+ */
+export function blanks(texts) {
+  const digits = texts.map((text) => (/^-?[\d,]+\.?(\d*)$/.exec(text) ?? [])[1]?.length ?? null);
+  const most = digits.reduce((long, one) => Math.max(long ?? 0, one ?? 0), 0) ?? 0;
+  return digits.map((one) =>
+    most && one !== null ? (one ? '' : '\u2008') + '\u2007'.repeat(most - one) : '',
+  );
+}
+
+/**
  * Cut a long text at its end, between two characters.
  * @param {unknown} text
  * @param {number} [length]
@@ -63,6 +76,24 @@ export const clip = (text, length = 60) => {
   const kept = whole.slice(0, length - 1);
   return `${/[\ud800-\udbff]$/.test(kept) ? kept.slice(0, -1) : kept}…`;
 };
+
+/**
+ * Cut a text of several parts in the middle of the longest ones, so that what comes last is still read.
+ * @param {string} text
+ * @param {number} length
+ */
+export function shorten(text, length) {
+  const parts = text.split(', ');
+  for (let rest = text.length - length; rest > 0; ) {
+    const at = parts.reduce((long, one, place) => (one.length > parts[long].length ? place : long), 0);
+    const kept = Math.max(7, parts[at].length - rest - 1);
+    if (kept >= parts[at].length - 1) break;
+    const [characters, head] = [[...parts[at]], Math.ceil(kept / 2)];
+    rest -= parts[at].length - kept - 1;
+    parts[at] = `${characters.slice(0, head).join('')}…${characters.slice(head - kept).join('')}`;
+  }
+  return clip(parts.join(', '), Math.max(length, 8));
+}
 
 /**
  * Return the class of a status' colour.
@@ -79,6 +110,20 @@ export function bytes(value) {
   const steps = ['B', 'KiB', 'MiB', 'GiB', 'TiB'];
   const step = Math.min(steps.length - 1, Math.max(0, Math.floor(Math.log2(Math.max(1, value)) / 10)));
   return `${number(value / 1024 ** step, 3)} ${steps[step]}`;
+}
+
+/**
+ * Return the column that says what runs cost the processor: cores tell it where the clock alone set the
+ * pace (Realtime); where a program takes the time it needs (Lockstep, Stepped), seconds per second of the
+ * recording do.
+ * @param {Api.Column[]} columns
+ */
+export function cpuColumn(columns) {
+  const named = (/** @type {string} */ name) => columns.find((one) => one.name === name);
+  const realtime = named('input.pace')?.values?.some((one) => one.value === 'Realtime');
+  return !realtime && named('usage.cpu.secondsPerDataSecond')
+    ? 'usage.cpu.secondsPerDataSecond'
+    : 'usage.cpu.meanCores';
 }
 
 /** Columns whose values say by themselves what they are. */

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Small parts of which the pages are made. */
 import { address, go } from './address.js';
-import { cell, clip, statusClass } from './format.js';
+import { blanks, cell, clip, statusClass } from './format.js';
 import { html, useEffect } from './ui.js';
+import { stays, watch } from './wide.js';
 
 const ARROWS = { ascending: ' ↑', descending: ' ↓' };
 
@@ -139,8 +140,12 @@ export const NothingFits = ({ notes }) => html`
   </div>
 `;
 
+/** Options of a group that a menu can show. */
+const MOST_OFFERED = 40;
+
 /**
- * A choice with a label. `options` are [value, text] or texts; a group is {label, options}.
+ * A choice with a label. `options` are [value, text] or texts; a group is {label, options}, and one of very
+ * many is searched.
  * @param {{label: string, value: string, options: Array<Offered | OfferedGroup>,
  *   onChange: (value: string) => void, error?: ApiFault|null, none?: string}} props
  */
@@ -154,7 +159,11 @@ export const Choice = ({ label, value, options, onChange, error, none }) => {
       </option>
     `;
   };
-  const known = options
+  const [few, many] = [true, false].map((small) =>
+    options.filter((option) => (!isGroup(option) || option.options.length <= MOST_OFFERED) === small),
+  );
+  const rest = many.flatMap((group) => (isGroup(group) ? group.options : []));
+  const known = few
     .flatMap((option) => (isGroup(option) ? option.options : [option]))
     .some((option) => (Array.isArray(option) ? option[0] : option) === value);
   return html`
@@ -182,7 +191,7 @@ export const Choice = ({ label, value, options, onChange, error, none }) => {
             </option>
           `
         }
-        ${options.map((option) =>
+        ${few.map((option) =>
           isGroup(option)
             ? html`
               <optgroup label=${option.label}>${option.options.map(one)}</optgroup>
@@ -192,6 +201,27 @@ export const Choice = ({ label, value, options, onChange, error, none }) => {
       </select>
       ${error && html`<${Fault} error=${error} />`}
     </label>
+    ${
+      rest.length > 0 &&
+      html`
+        <label class="field">
+          <span>${label}, ${rest.length} more</span>
+          <input
+            type="text"
+            list=${`more ${label}`}
+            placeholder="type a part of its name"
+            spellcheck="false"
+            onChange=${(event) => {
+              if (event.target.value) onChange(event.target.value);
+              event.target.value = '';
+            }}
+          />
+          <datalist id=${`more ${label}`}>
+            ${rest.map(one)}
+          </datalist>
+        </label>
+      `
+    }
   `;
 };
 
@@ -232,16 +262,24 @@ export const Tick = ({ label, checked, onChange }) => html`
 
 /**
  * A table.
- * @param {TableData & {caption: string, sort?: string, onSort?: (sort: string) => void, rowKey?: string}}
- *   props
+ * @param {TableData & {caption: string, sort?: string, onSort?: (sort: string) => void, rowKey?: string,
+ *   fixed?: number}} props fixed: how many of the first columns stay in sight
  */
-export const Table = ({ columns, rows, caption, sort, onSort, rowKey }) => html`
-  <div class="scroll" tabindex="0" role="region" aria-label=${caption}>
+export const Table = ({ columns, rows, caption, sort, onSort, rowKey, fixed = 1 }) => {
+  const missing = columns.map((column, at) =>
+    numeric(column) && !column.show && at >= fixed
+      ? blanks(rows.map((row) => cell(row[column.name], column)))
+      : [],
+  );
+  return html`
+  <div>
+  <div class="wide">
+  <div class="scroll" tabindex="0" role="region" aria-label=${caption} ref=${watch}>
     <table>
       <caption class="hidden">${caption}</caption>
       <thead>
         <tr>
-          ${columns.map((column) => {
+          ${columns.map((column, at) => {
             const direction =
               sort?.replace('-', '') === column.name
                 ? sort.startsWith('-')
@@ -252,7 +290,7 @@ export const Table = ({ columns, rows, caption, sort, onSort, rowKey }) => html`
             return html`
               <th
                 scope="col"
-                class=${numeric(column) ? 'number' : ''}
+                class=${classOf(column, at, fixed)}
                 aria-sort=${direction}
                 title=${column.name}
               >
@@ -263,11 +301,11 @@ export const Table = ({ columns, rows, caption, sort, onSort, rowKey }) => html`
                         type="button"
                         onClick=${() => onSort(direction === 'ascending' ? `-${column.name}` : column.name)}
                       >
-                        ${clip(column.title ?? column.name, 40)}
+                        ${head(column)}
                         ${arrow}
                       </button>
                     `
-                    : clip(column.title ?? column.name, 40)
+                    : head(column)
                 }
               </th>
             `;
@@ -278,15 +316,17 @@ export const Table = ({ columns, rows, caption, sort, onSort, rowKey }) => html`
         ${rows.map(
           (row, index) => html`
             <tr key=${rowKey ? row[rowKey] : index}>
-              ${columns.map((column) => {
+              ${columns.map((column, at) => {
                 const value = row[column.name];
                 const text = column.show ? null : cell(value, column);
+                const said = column.show ? column.show(value, row) : clip(text, 48);
                 return html`
                   <td
-                    class=${numeric(column) ? 'number' : ''}
+                    class=${classOf(column, at, fixed)}
+                    data-blank=${missing[at][index] || null}
                     title=${text && text.length > 48 ? clip(text, 1000) : null}
                   >
-                    ${column.show ? column.show(value, row) : clip(text, 48)}
+                    ${at < fixed ? html`<div>${said}</div>` : said}
                   </td>
                 `;
               })}
@@ -296,7 +336,28 @@ export const Table = ({ columns, rows, caption, sort, onSort, rowKey }) => html`
       </tbody>
     </table>
   </div>
+  </div>
+  <p class="beyond" aria-hidden="true"></p>
+  </div>
 `;
+};
+
+/**
+ * A column's title; a long one has several lines.
+ * @param {TableColumn} column
+ */
+const head = ({ title, name }) => {
+  const text = clip(title ?? name, 100);
+  return text.length > 28 ? html`<div class="long">${text}</div>` : text;
+};
+
+/**
+ * @param {TableColumn} column
+ * @param {number} at
+ * @param {number} fixed
+ */
+const classOf = (column, at, fixed) =>
+  [numeric(column) ? 'number' : '', stays(at, fixed)].filter(Boolean).join(' ');
 
 /** @param {TableColumn} column */
 const numeric = (column) => ['number', 'integer'].includes(column.kind ?? '');
@@ -307,5 +368,5 @@ const numeric = (column) => ['number', 'integer'].includes(column.kind ?? '');
  * @param {string} [text]
  */
 export const runLink = (uid, text) => html`
-  <${Link} href=${address(`/runs/${encodeURIComponent(uid)}`)}>${clip(text ?? uid, 48)}</${Link}>
+  <${Link} href=${address(`/runs/${encodeURIComponent(uid)}`)}>${clip(text ?? uid, 90)}</${Link}>
 `;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /** The questions that SLAM Hive's paper asks, as saved analyses. */
+import { cpuColumn } from './format.js';
 
 /**
  * @param {Api.Column[]} columns
@@ -128,6 +129,12 @@ export function questions(columns) {
     first(columns, /loop/i, ['parameters']);
   const equal = shared(columns, /loop/i, ['dataset', 'metrics', 'parameters']);
   const camera = cameras(columns);
+  // Of who reads the recording by itself nobody knows when it knew what, unless it says so.
+  const isPlayed = ['Realtime', 'Stepped'].some((pace) => has(columns, 'input.pace', [pace]));
+  const byPace = {
+    ...(varies(columns, 'input.pace') ? { facet: 'input.pace' } : apart),
+    where: isPlayed ? "input.pace in ('Realtime', 'Stepped')" : 'beside.online.ate.rmse is not null',
+  };
   return [
     ask(
       'Image resolution vs ATE',
@@ -145,7 +152,7 @@ export function questions(columns) {
       when(varies(columns, 'input.frameRate'), {
         kind: 'line',
         x: 'input.frameRate',
-        y: 'usage.cpu.meanCores',
+        y: cpuColumn(columns),
         ...apart,
       }),
     ),
@@ -155,7 +162,7 @@ export function questions(columns) {
       when(varies(columns, features), {
         kind: 'line',
         x: features,
-        y: 'ate.rmse,usage.cpu.meanCores,usage.memory.peakBytes',
+        y: `ate.rmse,${cpuColumn(columns)},usage.memory.peakBytes`,
         ...apart,
         where: `${quoted(features)} is not null`,
       }),
@@ -185,6 +192,28 @@ export function questions(columns) {
         y: 'ate.rmse',
         sensors: ['lidar', 'rgbd'],
         ...apart,
+      }),
+    ),
+    ask(
+      'Causal against final: what a robot knew at the time',
+      'runs of nodes in the paces Realtime or Stepped, which a player played to',
+      when((named(columns, 'beside.online.ate.rmse')?.count ?? 0) > 0, {
+        kind: 'scatter',
+        x: 'ate.rmse',
+        y: 'beside.online.ate.rmse',
+        colour: 'algorithm',
+        ...byPace,
+      }),
+    ),
+    ask(
+      'Latency vs causal ATE',
+      'runs of nodes in the paces Realtime or Stepped, which a player played to',
+      when((named(columns, 'metrics.latencySeconds.p95')?.count ?? 0) > 0, {
+        kind: 'scatter',
+        x: 'metrics.latencySeconds.p95',
+        y: 'beside.online.ate.rmse',
+        colour: 'algorithm',
+        ...byPace,
       }),
     ),
     ...published(columns),

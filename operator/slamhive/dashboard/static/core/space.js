@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 /** A view of paths in space that is turned by dragging or by keys. */
 import { drawing, paint, scene, toSvg } from '../charts/space.js';
-import { RAMP } from '../charts/trajectory.js';
+
 import { fileName, Framed, inks, isDark, save, saveSvg } from './figure.js';
 import { clip, number } from './format.js';
+import { SCALE } from './scale.js';
 import { html, useEffect, useLayoutEffect, useMemo, useRef, useState } from './ui.js';
 
 /** @type {View} */
@@ -185,11 +186,11 @@ export function Space({ title, paths, range, height = 380, csv, table, view: tol
                 <svg width="110" height="10" aria-hidden="true">
                   <defs>
                     <linearGradient id="ramp">
-                      ${RAMP.map(
+                      ${SCALE.map(
                         (colour, at) => html`
                           <stop
-                            offset=${at / (RAMP.length - 1)}
-                            stop-color=${`rgb(${colour.join(',')})`}
+                            offset=${at / (SCALE.length - 1)}
+                            stop-color=${colour}
                           />
                         `,
                       )}

@@ -4,6 +4,7 @@ import { address, useAddress } from '../core/address.js';
 import { useData } from '../core/api.js';
 import { cell, clip, number } from '../core/format.js';
 import { Fault, Link, Status, useTitle, Waiting } from '../core/parts.js';
+import { TruthLink } from '../core/truth.js';
 import { html } from '../core/ui.js';
 import { Recording } from './recording.js';
 
@@ -102,6 +103,7 @@ function One({ kind, name }) {
             <p class="row">
               <${Link} href=${address('/leaderboard', { [ONE[kind]]: name })}>Leaderboard</${Link}>
               <${Link} href=${address('/explore', { [ONE[kind]]: name })}>Explore</${Link}>
+              ${kind === 'datasets' && html`<${TruthLink} dataset=${name} />`}
             </p>
           </section>
           ${

@@ -1,16 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Runs side by side: trajectories over the ground truth, error, CPU and memory with one cursor. */
-import { overTime, shared, since, spanOf } from '../charts/trajectory.js';
+import { overTime, shared, since, spanOf, truthsOf } from '../charts/trajectory.js';
 import { address, useAddress } from '../core/address.js';
 import { useAll, useData } from '../core/api.js';
 import { Chart, COLOURS } from '../core/chart.js';
-import { bytes, cell, clip, keysText, number } from '../core/format.js';
+import { cell, clip, keysText, number, SUBJECT } from '../core/format.js';
 import { Choice, Fault, Link, Notes, runLink, Status, Table, useTitle, Waiting } from '../core/parts.js';
-import { differing, labelsOf, settingOf } from '../core/labels.js';
+import { differing, labelsOf, settingOf, sharedBy } from '../core/labels.js';
+import { foremost, useNarrow } from '../core/narrow.js';
 import { Mark, suspectOf, useSuspects } from '../core/suspects.js';
 import { html, useEffect, useMemo, useState } from '../core/ui.js';
 import { CommonLink } from './common.js';
-import { loads } from './loads.js';
+import { costColumns, loads } from './loads.js';
 import { Tracks, trackTable } from './tracks.js';
 
 const MOST = 8;
@@ -203,6 +204,7 @@ function Finder({ taken, onAdd, full }) {
  */
 function Compared({ runs, tracks, usage, byError }) {
   const suspects = useSuspects();
+  const narrow = useNarrow();
   const drawn = useMemo(() => pictures(runs, tracks, usage), [runs, tracks, usage]);
   const present = runs.flatMap((one) => (one.data ? [one.data] : []));
   const labels = labelsOf(present);
@@ -220,21 +222,11 @@ function Compared({ runs, tracks, usage, byError }) {
       title: 'run',
       show: (_, run) => runLink(run.uid, labels[present.indexOf(run)] ?? cell(run.run ?? run.uid)),
     },
-    {
-      name: 'algorithm',
-      title: 'algorithm',
-      show: (_, run) => clip(cell(run.configuration?.algorithm), 40),
-    },
-    {
-      name: 'sensors',
-      title: 'sensors',
-      show: (_, run) => clip(cell(run.configuration?.sensors), 40),
-    },
-    {
-      name: 'dataset',
-      title: 'dataset',
-      show: (_, run) => clip(cell(run.configuration?.dataset), 40),
-    },
+    ...SUBJECT.filter((name) => new Set(present.map((run) => settingOf(run, name))).size > 1).map((name) => ({
+      name,
+      title: name,
+      show: (/** @type {unknown} */ _, /** @type {Api.Run} */ run) => clip(cell(settingOf(run, name)), 40),
+    })),
     {
       name: 'outcome',
       title: 'outcome',
@@ -260,18 +252,7 @@ function Compared({ runs, tracks, usage, byError }) {
       kind: 'number',
       show: (_, run) => number(run.results?.[0]?.ate?.rmse),
     },
-    {
-      name: 'cpu',
-      title: 'CPU [cores]',
-      kind: 'number',
-      show: (_, run) => number(run.usage?.cpu?.meanCores),
-    },
-    {
-      name: 'memory',
-      title: 'peak memory',
-      kind: 'number',
-      show: (_, run) => bytes(run.usage?.memory?.peakBytes),
-    },
+    ...costColumns(present, (run) => run),
     {
       name: 'csv',
       title: 'CSV',
@@ -292,9 +273,22 @@ function Compared({ runs, tracks, usage, byError }) {
     },
   ];
   if (present.length === 0) return null;
+  const told = present.length > 1 ? sharedBy(present, labels) : { common: '', some: [] };
   return html`
-    <${Table} columns=${columns} rows=${present} caption="The runs compared" />
-    <${Different} runs=${present} />
+    <${Table}
+      columns=${narrow ? foremost(columns, ['run', 'ate', 'cpu', 'outcome']) : columns}
+      rows=${present}
+      caption="The runs compared"
+    />
+    ${
+      told.common &&
+      html`
+        <details class="quiet spaced">
+          <summary>The same in all: ${clip(told.common, 110)}</summary>
+          ${told.common}
+        </details>
+      `
+    }
     <${Notes} notes=${drawn.notes} />
     <div class="facets spaced">
       ${
@@ -302,7 +296,7 @@ function Compared({ runs, tracks, usage, byError }) {
         html`
           <${Tracks}
             estimates=${drawn.estimates}
-            reference=${drawn.reference}
+            truths=${drawn.truths}
             byError=${byError}
             title="Trajectories"
           />
@@ -325,11 +319,14 @@ function Compared({ runs, tracks, usage, byError }) {
         `,
       )}
     </div>
+    <${Notes} notes=${drawn.loadNotes} />
+    <${Different} runs=${present} />
+    <${Notes} notes=${told.some.map(({ who, what }) => `Only ${clip(who, 200)}: ${clip(what, 390)}`)} />
   `;
 }
 
 /**
- * In which settings the runs differ.
+ * In which settings the runs differ that have them.
  * @param {{runs: Api.Run[]}} props
  */
 function Different({ runs }) {
@@ -385,6 +382,16 @@ function pictures(runs, tracks, usage) {
    * @returns {string}
    */
   const dataset = (one) => one.run.configuration?.dataset;
+  const truths = truthsOf(
+    moved
+      .filter((one) => dataset(one) === dataset(moved[0]))
+      .map(({ run, track }) => ({
+        of: `${cell(settingOf(run, 'algorithm'))} (${cell(settingOf(run, 'sensors'))})`,
+        reference: track.reference,
+      })),
+  );
+  if (truths.length > 1)
+    notes.push('Poses of different frames, as of the LiDAR and the IMU, have a ground truth each.');
   const { zeros, title: axis } = shared(
     present.flatMap((one) =>
       [one.track?.clock, one.usage?.clock].flatMap((clock) =>
@@ -405,7 +412,7 @@ function pictures(runs, tracks, usage) {
   }));
   const load = loaded.map((one) => ({ ...one, t: one.usage.stamp && placed(one, one.usage.stamp) }));
   const span = spanOf([...errors, ...load].flatMap((one) => (one.t ? [one.t] : [])));
-  const error = measured.length && {
+  const error = measured.length > 0 && {
     title: 'Error over time',
     group: 'dataset',
     table: trackTable(measured.map((one) => ({ name: one.name, track: one.track.estimate }))),
@@ -414,7 +421,8 @@ function pictures(runs, tracks, usage) {
   return {
     notes,
     estimates,
-    reference: moved[0]?.track.reference ?? null,
+    loadNotes: loaded.flatMap((one) => one.usage.notes.map((note) => `${one.name}: ${note}`)),
+    truths,
     error,
     charts: loads(load, { title: axis, span }),
   };

@@ -8,7 +8,7 @@ import { address, go, Query, useAddress } from '../core/address.js';
 import { csvOf, fetchJson, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { columnOptions, Filters, isNumeric, shownByFilters, useColumns } from '../core/filters.js';
-import { clip, headingOf, namedValue } from '../core/format.js';
+import { clip, cpuColumn, headingOf, namedValue } from '../core/format.js';
 import { mostVaried } from '../core/questions.js';
 import { Choice, Fault, Link, Notes, NothingFits, Outcomes, Tick, useTitle, Waiting } from '../core/parts.js';
 import { html, useMemo, useState } from '../core/ui.js';
@@ -57,16 +57,17 @@ const NO_COLOUR = { contour: 'the first that varies', ecdf: 'algorithm' };
 const FIELDS = ['x', 'y', 'colour', 'facet', 'down', 'across', 'outcomes'];
 
 /**
- * Return the settings of an address, with what is shown where it names nothing.
+ * Return the settings of an address, with what is shown where it names nothing: the setting that was varied
+ * most for one algorithm, as what algorithms have by default tells nothing but them, and who reached what.
  * @param {Query} query
- * @param {Api.Column[]} columns
+ * @param {Pick<Api.Columns, 'items'|'varied'>} known facts about the columns
  * @returns {Settings}
  */
-function settingsOf(query, columns) {
+export function settingsOf(query, { items: columns, varied: settings }) {
   const varied = columns.filter((one) => one.distinct > 1);
   const guess =
-    mostVaried(varied.filter(isNumeric)) ??
-    varied.find((one) => one.name === 'usage.cpu.meanCores') ??
+    mostVaried(varied.filter((one) => isNumeric(one) && settings.includes(one.name))) ??
+    varied.find((one) => one.name === cpuColumn(columns)) ??
     varied.find(isNumeric);
   /**
    * @param {string} name
@@ -75,11 +76,12 @@ function settingsOf(query, columns) {
   const at = (name, otherwise) => query.get(name, otherwise);
   const kind = KINDS.some(([one]) => one === at('kind')) ? at('kind') : 'scatter';
   const y = at('y', 'ate.rmse');
+  const apart = !at('x') && ['scatter', 'box'].includes(kind);
   return {
     kind,
     x: at('x', guess?.name ?? 'algorithm'),
     y: kind === 'line' ? y : y.split(',')[0], // only lines are drawn of several columns
-    colour: at('colour'),
+    colour: at('colour', apart && varied.some((one) => one.name === 'algorithm') ? 'algorithm' : ''),
     facet: at('facet'),
     down: at('down'),
     across: at('across'),
@@ -87,6 +89,7 @@ function settingsOf(query, columns) {
     figure: at('figure') === 'mean' ? 'mean' : 'median',
     xlog: at('xlog') === '1',
     ylog: at('ylog') === '1',
+    own: at('scales') === 'own',
   };
 }
 
@@ -105,16 +108,21 @@ export default function Explore() {
       <h1>Explore</h1>
       <${NothingFits} />
     `;
-  return html`<${Explored} columns=${columns.data.items} />`;
+  return html`<${Explored} known=${columns.data} />`;
 }
 
-/** @param {{columns: Api.Column[]}} props */
-function Explored({ columns }) {
+/** @param {{known: Api.Columns}} props */
+function Explored({ known }) {
   const { query, change } = useAddress();
-  const set = settingsOf(query, columns);
+  const columns = known.items;
   const embedded = query.get('embed') === '1';
   const filters = query.filters();
-  const Other = OTHERS[set.kind];
+  // What was varied is another thing in each sweep: where x isn't said, the runs that are meant are asked.
+  const own = !query.get('x') && filters.pairs.some(([name]) => name !== 'superseded');
+  const meant = useData(own ? address('/api/v1/columns', filters) : null);
+  const waits = own && !meant.data && !meant.error;
+  const set = settingsOf(query, meant.data?.items.length ? meant.data : known);
+  const Other = waits ? undefined : OTHERS[set.kind];
   const asked = query.get('kind');
   const unknown =
     asked && asked !== set.kind
@@ -123,21 +131,22 @@ function Explored({ columns }) {
           field: 'kind',
         }
       : null;
-  const drawn = Other
-    ? null
-    : set.kind === 'line'
-      ? address(
-          '/api/v1/analysis/aggregate',
-          filters.with({
-            by: [set.x, set.colour, set.facet].filter(Boolean).join(','),
-            metrics: set.y,
-            outcomes: set.outcomes,
-          }),
-        )
-      : address(
-          '/api/v1/analysis/points',
-          filters.with({ x: set.x, y: set.y, colour: set.colour, facet: set.facet }),
-        );
+  const drawn =
+    Other || waits
+      ? null
+      : set.kind === 'line'
+        ? address(
+            '/api/v1/analysis/aggregate',
+            filters.with({
+              by: [set.x, set.colour, set.facet].filter(Boolean).join(','),
+              metrics: set.y,
+              outcomes: set.outcomes,
+            }),
+          )
+        : address(
+            '/api/v1/analysis/points',
+            filters.with({ x: set.x, y: set.y, colour: set.colour, facet: set.facet }),
+          );
   const state = useData(drawn);
   const title =
     query.get('title') ||
@@ -156,7 +165,12 @@ function Explored({ columns }) {
         <${Controls}
           columns=${columns}
           set=${set}
-          change=${(changes) => change({ title: null, ...changes })}
+          change=${(changes) =>
+            change({
+              title: null,
+              ...(query.get('x') || 'kind' in changes ? {} : { x: set.x, colour: set.colour }),
+              ...changes,
+            })}
           error=${error ?? unknown}
           field=${error ? at : unknown?.field}
         />
@@ -199,6 +213,7 @@ function Explored({ columns }) {
     ${
       !embedded &&
       !error &&
+      !waits &&
       !['scatter', 'parallel'].includes(set.kind) &&
       html`
         <${RunRows}
@@ -350,6 +365,17 @@ function Controls({ columns, set, change, error, field }) {
               />
             `
           }
+          ${
+            set.facet &&
+            ['scatter', 'line', 'box'].includes(set.kind) &&
+            html`
+              <${Tick}
+                label="axes of their own"
+                checked=${set.own}
+                onChange=${(on) => change({ scales: on ? 'own' : null })}
+              />
+            `
+          }
         </span>
       </div>
     </section>
@@ -380,10 +406,14 @@ function Drawing({ set, data, title, csv }) {
     ...new Set([
       ...(data.mixed ?? []).map((/** @type {{sentence: string}} */ one) => one.sentence),
       ...(data.notes ?? []),
+      ...(decades(data) > 4 && !set.ylog
+        ? [`Values span ${decades(data)} decades: “log y” tells the small ones apart`]
+        : []),
       ...(parts[0]?.left
         ? [
-            `${parts[0].left} of the charts would have no line with two values of ${clip(set.x, 60)}; ` +
-              'they are left out, the table has them',
+            `${parts[0].left} of the charts would have ${
+              set.kind === 'line' ? 'no line with two values of' : 'no run with'
+            } ${clip(set.x, 60)}; they are left out, the table has them`,
           ]
         : []),
     ]),
@@ -407,7 +437,7 @@ function Drawing({ set, data, title, csv }) {
           }
           <span class="quiet">
             A click on a point opens its run. Hollow: not tracked to the end. Crosses have no
-            value: they are drawn above the others.
+            value: they are in the grey field above the others.
             ${' '}${beside.length > 0 && 'Grey, hollow diamonds are published numbers.'}
           </span>
         </p>
@@ -454,6 +484,21 @@ function Drawing({ set, data, title, csv }) {
 }
 
 /**
+ * Return how many powers of ten the values of y span; 0 where they are not numbers above 0.
+ * @param {any} data points, or groups where lines are drawn
+ */
+function decades(data) {
+  const values = (
+    data.axes?.y.values ??
+    (data.groups ?? []).map((/** @type {any} */ one) => Object.values(one.figures)[0]?.median)
+  ).filter((/** @type {any} */ value) => value > 0);
+  const [low, high] = [Math.min, Math.max].map((end) =>
+    values.reduce((/** @type {number} */ a, /** @type {number} */ b) => end(a, b), values[0]),
+  );
+  return values.length ? Math.round(Math.log10(high / low)) : 0;
+}
+
+/**
  * @param {Api.Aggregate} data
  * @param {Settings} set
  * @returns {ChartOfSettings[]|null}
@@ -466,13 +511,14 @@ function lineParts(data, set) {
     lines(data, set.x, data.metrics[0].name, set.facet, value).some((one) => one.points.length > 1),
   );
   const over = clip(headingOf(data.keys, set.x).title, 60);
-  return (wide.length ? wide : values).flatMap((value) =>
+  const shown = wide.length ? wide : values;
+  return shown.flatMap((value) =>
     data.metrics.map((metric) => ({
       name: value && facetName(data, set.facet, value),
       metric: metric.name,
       title: data.metrics.length > 1 ? `${clip(metric.title, 40)} over ${over}` : null,
       left: wide.length ? values.length - wide.length : 0,
-      option: line(data, { ...set, y: metric.name, facetValue: value }),
+      option: line(data, { ...set, y: metric.name, facetValue: value, among: shown }),
       table: groupTable({
         ...data,
         metrics: [metric],
@@ -501,25 +547,19 @@ function facetName(data, facet, value) {
  * @returns {ChartOfSettings[]|null}
  */
 function pointParts(data, set, beside) {
-  const parts = facets(data);
-  if (parts === null) return null;
-  const y = readAxis(data.axes.y);
-  const largest = parts
-    .flatMap((part) => part.indices)
-    .reduce((top, index) => Math.max(top, y.at(index) ?? -Infinity), -Infinity);
-  const top = Number.isFinite(largest) && !y.categories ? largest * 1.1 : null;
+  const every = facets(data);
+  if (every === null) return null;
+  const x = readAxis(data.axes.x);
+  const placed = every.filter(({ indices }) => indices.some((index) => x.at(index) !== null));
+  const parts = placed.length ? placed : every;
   return parts.map(({ name, indices }) => ({
     name,
+    left: every.length - parts.length,
     table: pointTable(data, indices),
     option:
       set.kind === 'box'
-        ? box(data, indices, { ylog: set.ylog, tracked: set.outcomes === 'tracked' })
-        : scatter(
-            data,
-            indices,
-            { ...set, top },
-            set.facet && set.facet !== 'dataset' ? [] : of(name, beside),
-          ),
+        ? box(data, indices, { ylog: set.ylog, tracked: set.outcomes === 'tracked', own: set.own })
+        : scatter(data, indices, set, set.facet && set.facet !== 'dataset' ? [] : of(name, beside)),
   }));
 }
 

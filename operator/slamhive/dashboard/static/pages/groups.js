@@ -3,11 +3,23 @@
 import { address } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { clip, number, shortTitles } from '../core/format.js';
+import { foremost, useNarrow } from '../core/narrow.js';
 import { Fault, Link, Notes, Table } from '../core/parts.js';
+import { TruthLink } from '../core/truth.js';
 import { html } from '../core/ui.js';
 
 /** The figures of a group. @type {Array<'median'|'mean'|'std'|'min'|'max'>} */
 export const FIGURES = ['median', 'mean', 'std', 'min', 'max'];
+
+/**
+ * Findings of a recording lead to what runs say of its ground truth.
+ * @param {string} text
+ * @param {Api.Row} row
+ */
+const toTruth = (text, row) =>
+  text && typeof row.dataset === 'string'
+    ? html`<${TruthLink} dataset=${row.dataset}>${clip(text, 80)}</${TruthLink}>`
+    : text;
 
 /**
  * Return the columns and rows of a table of groups.
@@ -26,8 +38,17 @@ export function groupTable(data, which = FIGURES) {
     key.facet ? known(key) > 1 : data.groups.length < 2 || values(key).size > 1,
   );
   // Equal trajectories are one result: their errors have no spread.
-  const equal = data.groups.some((group) => group.deterministic)
-    ? [{ name: 'equal', title: 'deterministic' }]
+  const equal = data.groups.some((group) => group.copies > 0)
+    ? [{ name: 'equal', title: 'equal results' }]
+    : [];
+  const findings = data.groups.some((group) => group.findings.length > 0)
+    ? [{ name: 'findings', title: '† findings of the recording', show: toTruth }]
+    : [];
+  const reader = data.groups.some((group) => group.reader)
+    ? [{ name: 'reader', title: '‡ CPU with the reader' }]
+    : [];
+  const late = data.groups.some((group) => group.late)
+    ? [{ name: 'late', title: '§ memory with frames that waited' }]
     : [];
   const figures = data.metrics.flatMap((metric) =>
     which.map((one) => ({
@@ -45,6 +66,9 @@ export function groupTable(data, which = FIGURES) {
       { name: 'failures', title: 'failures' },
       { name: 'coverage', kind: 'number', title: 'coverage' },
       ...equal,
+      ...findings,
+      ...reader,
+      ...late,
       ...figures,
     ],
     rows: data.groups.map((group) => ({
@@ -53,7 +77,10 @@ export function groupTable(data, which = FIGURES) {
       runs: group.runs,
       coverage: group.coverage?.mean ?? null,
       failures: failureText(group.failures),
-      equal: group.deterministic ? `one result, ${group.n} equal runs` : '',
+      findings: group.findings.join(', '),
+      reader: group.reader ? 'in it, or not known' : '',
+      late: group.late ? 'in it: poses came late' : '',
+      equal: group.copies > 0 ? `${group.n} in ${group.n + group.copies} runs` : '',
       ...Object.fromEntries(
         data.metrics.flatMap((metric) =>
           which.map((one) => [`${metric.name} ${one}`, group.figures[metric.name]?.[one] ?? null]),
@@ -61,6 +88,26 @@ export function groupTable(data, which = FIGURES) {
       ),
     })),
   };
+}
+
+/**
+ * Return the columns of a table of groups with what tells them apart first, then the first figure of each
+ * metric. Sensors of which each algorithm has one kind tell nothing more.
+ * @param {TableData} table
+ * @param {string} [figure]
+ * @returns {TableColumn[]}
+ */
+export function onPhone({ columns, rows }, figure = 'median') {
+  const names = columns.map(({ name }) => name);
+  const keys = names.slice(0, names.indexOf('n'));
+  /** @param {string[]} of */
+  const count = (...of) => new Set(rows.map((row) => of.map((name) => row[name]).join('\n'))).size;
+  const plain = count('algorithm') === count('algorithm', 'sensors');
+  return foremost(columns, [
+    'algorithm',
+    ...keys.filter((name) => name !== 'algorithm' && (!plain || name !== 'sensors')),
+    ...names.filter((name) => name.endsWith(` ${figure}`)),
+  ]);
 }
 
 /**
@@ -98,8 +145,10 @@ export function GroupTable({ columns, set, filters }) {
       )
     : null;
   const state = useData(url);
+  const narrow = useNarrow();
   if (!url) return null;
   const shown = state.data && groupTable(state.data);
+  const keys = shown?.columns.findIndex((/** @type {TableColumn} */ one) => one.name === 'n') ?? 0;
   return html`
     <section>
       <h2>
@@ -117,8 +166,9 @@ export function GroupTable({ columns, set, filters }) {
         shown &&
         html`
           <${Table}
+            fixed=${Math.max(1, keys)}
             columns=${[
-              ...shown.columns,
+              ...(narrow ? onPhone(shown) : shown.columns),
               {
                 name: 'paths',
                 title: 'paths',

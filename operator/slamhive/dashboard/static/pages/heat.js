@@ -6,6 +6,7 @@ import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { axisName, cell, clip, headingOf, number } from '../core/format.js';
 import { NothingFits, Notes, Waiting } from '../core/parts.js';
+import { SCALE } from '../core/scale.js';
 import { html, useEffect, useMemo } from '../core/ui.js';
 import { failureText, groupTable } from './groups.js';
 
@@ -61,8 +62,6 @@ export function Heat({ set, filters, title, onError }) {
     }
   `;
 }
-
-const HEAT = ['#fff3c4', '#f0a93b', '#c44e1c', '#6b1030'];
 
 /**
  * @param {Api.Aggregate} data
@@ -174,7 +173,7 @@ function heat(data, groups, set, rows) {
         right: 0,
         top: 'middle',
         itemHeight: 100,
-        inRange: { color: larger ? [...HEAT].reverse() : HEAT },
+        inRange: { color: larger ? [...SCALE].reverse() : SCALE },
       },
       series: [
         {

@@ -1,17 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Who is best on which datasets, with how sure that is and how often each failed. */
+import { causal } from '../charts/causal.js';
+import { interval, MOST, onFew, scores, standings } from '../charts/standings.js';
 import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
-import { columnOptions, Filters, isNumeric, shownByFilters, useColumns } from '../core/filters.js';
-import { axisName, cell, clip, columnTitle, keysText, number } from '../core/format.js';
+import { columnOptions, Filters, isMeasure, shownByFilters, useColumns } from '../core/filters.js';
+import { clip, columnTitle, keysText, number } from '../core/format.js';
 import { Choice, Fault, Link, NothingFits, Notes, Table, useTitle, Waiting } from '../core/parts.js';
 import { published } from '../core/questions.js';
 import { foremost, useNarrow } from '../core/narrow.js';
 import { Mark, suspectOf, useSuspects } from '../core/suspects.js';
-import { html } from '../core/ui.js';
-import { failureText } from './groups.js';
-import { HOLLOW, publishedText } from '../charts/scatter.js';
+import { TruthLink } from '../core/truth.js';
+import { html, useMemo } from '../core/ui.js';
+import { failureText, groupTable, onPhone } from './groups.js';
 import { PublishedRows, usePublished } from './published.js';
 
 /** What tells competitors apart. */
@@ -47,6 +49,17 @@ export default function Leaderboard() {
     state.error && !shownByFilters(state.error, query) && !['metric', 'by'].includes(state.error.field ?? '');
   const tables = published(all);
   const beside = usePublished(query.filters(), true);
+  const timely = state.data?.timely;
+  const timelyCsv = csvOf(
+    address(
+      '/api/v1/analysis/aggregate',
+      query.filters().with({
+        by: timely?.keys.map((/** @type {Api.Heading} */ one) => one.name).join(',') ?? '',
+        metrics: timely?.metrics.map((/** @type {Api.Heading} */ one) => one.name).join(',') ?? '',
+        outcomes: set.outcomes,
+      }),
+    ),
+  );
   return html`
     <h1>Leaderboard</h1>
     ${
@@ -57,7 +70,7 @@ export default function Leaderboard() {
             <${Choice}
               label="Measured by"
               value=${set.metric}
-              options=${columnOptions(all, isNumeric)}
+              options=${columnOptions(all, isMeasure)}
               error=${wrong('metric')}
               onChange=${(metric) => change({ metric })}
             />
@@ -98,8 +111,10 @@ export default function Leaderboard() {
             did not.${' '}
             <a href=${csvOf(url)} download>
               CSV
-            </a>
+            </a>${' '}
+            <${TruthLink} filters=${query.filters()} />
           </p>
+          <${Pooled} pooled=${state.data.pooled} by=${state.data.by} />
           ${state.data.boards.map(
             (/** @type {Api.Board} */ board) => html`
               <${Board}
@@ -112,12 +127,74 @@ export default function Leaderboard() {
               />
             `,
           )}
+          <${Timely} data=${state.data.timely} csv=${timelyCsv} />
           <${PublishedRows} filters=${query.filters()} metrics=${[state.data.metric]} />
           ${state.data.boards.length === 0 && html`<${NothingFits} />`}
           <${Notes} notes=${state.data.notes} />
         `
         : !state.error && html`<${Waiting} />`
     }
+  `;
+}
+
+/** Columns of groups that a table of timeliness has no room for; the leaderboard above has them. */
+const BESIDE_FIGURES = ['coverage', 'failures', 'equal', 'findings', 'reader', 'late'];
+
+/**
+ * What was known when: causal beside final errors, latencies, and whether nodes kept up.
+ * @param {{data: (Api.Aggregate & {words: string})|null, csv: string}} props
+ */
+function Timely({ data, csv }) {
+  const narrow = useNarrow();
+  const drawn = useMemo(() => data && causal(data), [data]);
+  if (!data?.groups.length) return null;
+  const table = groupTable(data, ['median']);
+  const columns = (narrow ? onPhone(table) : table.columns)
+    .filter(({ name }) => !BESIDE_FIGURES.includes(name))
+    .map((one) => ({ ...one, title: one.title?.replace(/ median$/, '') }));
+  const metric = data.metrics[0].title?.replace(', final', '');
+  return html`
+    <section>
+      <h2>When poses came</h2>
+      <p class="quiet">${data.words}</p>
+      ${
+        drawn &&
+        html`
+          <${Chart}
+            option=${drawn.option}
+            height=${drawn.height}
+            csv=${csv}
+            title=${`${metric}: causal and final`}
+            summary="What a robot knew at the time, and at the end; the table has its numbers"
+          />
+        `
+      }
+      <${Table} columns=${columns} rows=${table.rows} caption="Causal and final errors, latency" fixed=${1} />
+    </section>
+  `;
+}
+
+/**
+ * The settings that each row is over, which no run has all of, and where they are told apart.
+ * @param {{pooled: Record<string, number>, by: string[]}} props
+ */
+function Pooled({ pooled, by }) {
+  const { query } = useAddress();
+  const names = Object.keys(pooled);
+  if (names.length === 0) return null;
+  return html`
+    <p>
+      Each row is over
+      ${names.slice(0, 3).map(
+        (name, at) => html`
+          ${at ? ', ' : ' '}${number(pooled[name])} values of ${clip(columnTitle(name), 60)}${' ('}
+          <${Link} href=${address('/leaderboard', query.with({ by: [...by, name].join(',') }))}>
+            tell them apart
+          </${Link}>)
+        `,
+      )}
+      ${names.length > 3 && `, and ${names.length - 3} further settings`}.
+    </p>
   `;
 }
 
@@ -128,110 +205,146 @@ export default function Leaderboard() {
 function Board({ board, metric, by, csv, suspects, beside }) {
   const narrow = useNarrow();
   const facets = keysText(board.facets);
-  const factor = metric.factor ?? 1;
   const first = metric.better ? 'best' : 'smallest';
   // What is suspect on one dataset is marked there, what is so on all beside the competitor.
   const told = suspects.filter((one) => one.keys.dataset !== undefined);
   const always = suspects.filter((one) => one.keys.dataset === undefined);
+  const few = board.entries.filter((entry) => onFew(board, entry));
+  const drawn = useMemo(() => {
+    const own = beside.filter(
+      (row) => row.values[metric.name] !== undefined && board.datasets.includes(row.dataset),
+    );
+    return {
+      standings: standings(board, metric),
+      scores: board.datasets.length > 1 || own.length ? scores(board, metric, own) : null,
+    };
+  }, [board, metric, beside]);
   /** @type {TableColumn[]} */
   const columns = [
     { name: 'rank', kind: 'number', title: 'rank' },
-    { name: 'between', title: 'between' },
-    ...by.map((name, at) => ({
-      name,
-      title: columnTitle(name),
-      show: (/** @type {Api.Value} */ value, /** @type {Api.Ranked} */ entry) => html`
-        ${clip(cell(value), 48)}
-        ${
-          at === by.length - 1 &&
-          html`
-            <${Mark} suspect=${suspectOf(always, { ...board.facets, ...entry.keys })} />
-          `
-        }
+    {
+      name: 'competitor',
+      title: by.map(columnTitle).join(', '),
+      show: (/** @type {string} */ name, /** @type {{keys: Api.Keys}} */ row) => html`
+        ${clip(name, 130)}
+        <${Mark} suspect=${suspectOf(always, { ...board.facets, ...row.keys })} />
       `,
-    })),
-    { name: 'score', kind: 'number', title: `score (0 ${first})` },
+    },
+    {
+      name: 'datasets',
+      title: 'datasets',
+      show: (/** @type {string} */ text, /** @type {{few: boolean}} */ row) =>
+        row.few ? html`<span class="status fair">${text}</span>` : text,
+    },
     { name: 'ratio', title: metric.better === 'higher' ? 'the best over it' : `over the ${first}` },
+    { name: 'between', title: 'rank between' },
+    { name: 'score', kind: 'number', title: `score (0 ${first})` },
     { name: 'n', kind: 'integer', title: 'n' },
     { name: 'runs', kind: 'integer', title: 'runs' },
     { name: 'failed', kind: 'integer', title: 'failed' },
     ...board.datasets.map((dataset) => ({
       name: `dataset ${dataset}`,
       title: dataset,
-      show: (/** @type {Api.Score|undefined} */ one, /** @type {Api.Ranked} */ entry) =>
+      show: (/** @type {Api.Score|undefined} */ one, /** @type {{keys: Api.Keys}} */ row) =>
         one &&
         html`
           <${Result}
             one=${one}
             metric=${metric}
-            suspect=${suspectOf(told, { ...board.facets, ...entry.keys, dataset })}
+            suspect=${suspectOf(told, { ...board.facets, ...row.keys, dataset })}
           />
         `,
     })),
   ];
   const rows = board.entries.map((entry) => ({
-    ...entry.keys,
     keys: entry.keys,
+    few: few.includes(entry),
+    competitor: keysText(entry.keys),
+    datasets: `${entry.datasets.length} of ${board.datasets.length}`,
     rank: entry.rank,
     between: interval(entry.rankInterval),
     score: entry.score,
     n: entry.n,
     runs: entry.runs,
     failed: entry.failed,
-    ratio: entry.ratioFailed
-      ? 'the median run failed'
-      : `${number(entry.ratio, 3)}× ${entry.ratioInterval ? `(${interval(entry.ratioInterval)})` : ''}`,
+    ratio: ratioText(entry),
     ...Object.fromEntries(entry.datasets.map((one) => [`dataset ${one.dataset}`, one])),
   }));
-  /** @type {ChartOption} */
-  const option = {
-    grid: { left: 72, right: 24, top: 44, bottom: 34 },
-    legend: {},
-    tooltip: {
-      trigger: 'item',
-      formatter: ({ seriesName, name, data, value }) =>
-        data?.published
-          ? publishedText(data.published)
-          : `${seriesName}\n${name}: ${data?.label ? 'the median run failed' : number(value)}`,
-    },
-    xAxis: { type: 'category', data: board.datasets.map((name) => clip(name, 28)), name: '' },
-    yAxis: { type: 'value', name: `${clip(axisName(metric), 40)}, median`, nameGap: 52 },
-    series: [
-      ...board.entries.map((entry) => ({
-        type: 'bar',
-        barMaxWidth: 36,
-        name: clip(keysText(entry.keys), 50),
-        data: board.datasets.map((name) => {
-          const found = entry.datasets.find((one) => one.dataset === name);
-          if (found?.medianFailed) return { value: 0, label: FAILED };
-          return found?.median === null || found?.median === undefined ? null : found.median * factor;
-        }),
-      })),
-      ...publishedMarks(board, metric, beside),
-    ],
-  };
+  const many = board.datasets.length > 3;
+  // The picture tells ratios: of one dataset, what they are of comes before them on a phone.
+  const only = board.datasets.length === 1 ? [`dataset ${board.datasets[0]}`] : [];
+  const over = metric.better === 'higher' ? 'the best over each' : `each over the ${first}`;
+  const named = many ? `${board.datasets.length} datasets` : board.datasets.join(', ');
+  const left = board.entries.length - MOST;
   return html`
     <section>
       <h2>
-        ${clip(board.datasets.join(', '), 200)}${' '}
-        ${facets && html`<span class="quiet">${clip(facets, 200)}</span>`}
+        ${clip(named, 200)}${' '}
+        <span class="quiet">
+          ${[
+            many ? `${clip(board.datasets[0], 40)} to ${clip(board.datasets.at(-1), 40)}` : '',
+            clip(facets, 200),
+          ]
+            .filter(Boolean)
+            .join(', ')}
+        </span>
       </h2>
-      <${Table}
-        columns=${narrow ? foremost(columns, ['rank', 'score', ...by]) : columns}
-        rows=${rows}
-        caption=${`Leaderboard on ${clip(board.datasets.join(', '), 100)}`}
-      />
       ${
         board.entries.length > 1 &&
         html`
-          <p></p>
           <${Chart}
-            option=${option}
-            height=${300}
+            option=${drawn.standings.option}
+            height=${drawn.standings.height}
             csv=${csv}
-            table=${{ columns, rows }}
-            title=${`${metric.title} on ${clip(board.datasets.join(', '), 80)}`}
+            title=${`${metric.title}: ${over}`}
+            summary=${`${metric.title} over the ${first} of each dataset; the table has its numbers`}
           />
+          <p class="quiet">
+            Dots are geometric means over datasets of the ratio to the ${first} there, lines hold them with
+            95 % as far as n different results can tell; a single one has no line.
+            ${few.length > 0 && ' Hollow: on fewer than half as many datasets as others.'}
+          </p>
+        `
+      }
+      ${
+        few.length > 0 &&
+        html`
+          <p>
+            ${clip(
+              few.map((one) => `${keysText(one.keys)} ran on ${one.datasets.length}`).join(', '),
+              400,
+            )}${' '}
+            of ${board.datasets.length} datasets: such a rank says nothing of the other datasets.
+          </p>
+        `
+      }
+      <${Table}
+        columns=${narrow ? foremost(columns, ['rank', 'competitor', ...only, 'ratio']) : columns}
+        rows=${rows}
+        caption=${`Leaderboard on ${clip(named, 100)}`}
+        fixed=${2}
+      />
+      ${
+        board.entries.length > 1 &&
+        drawn.scores &&
+        html`
+          <div class="spaced">
+            <${Chart}
+              option=${drawn.scores.option}
+              height=${drawn.scores.height}
+              csv=${csv}
+              title=${`${metric.title} on each dataset`}
+              summary=${`${metric.title} on each dataset; the table has its numbers`}
+            />
+          </div>
+        `
+      }
+      ${
+        (left > 0 || board.datasets.length > MOST) &&
+        html`
+          <p class="quiet">
+            The pictures show the first ${MOST} competitors and datasets; the table has all.
+          </p>
         `
       }
     </section>
@@ -239,27 +352,14 @@ function Board({ board, metric, by, csv, suspects, beside }) {
 }
 
 /**
- * Return hollow marks of published numbers over the bars, as a series; [] for none.
- * @param {Api.Board} board
- * @param {Api.Heading} metric
- * @param {Api.PublishedRow[]} rows
+ * Return how far an entry is from the best, or why it has no rank.
+ * @param {Api.Ranked} entry
  */
-const publishedMarks = (board, metric, rows) => {
-  const data = rows
-    .filter((row) => row.values[metric.name] !== undefined && board.datasets.includes(row.dataset))
-    .map((row) => ({
-      published: row,
-      value: [board.datasets.indexOf(row.dataset), row.values[metric.name] * (metric.factor ?? 1)],
-    }));
-  const dress = { type: 'scatter', name: 'published', symbol: 'diamond', symbolSize: 11, itemStyle: HOLLOW };
-  return data.length ? [{ ...dress, data }] : [];
+const ratioText = (entry) => {
+  if (entry.unranked) return `no rank: ${entry.unranked}`;
+  if (entry.ratioFailed) return 'the median run failed';
+  return `${number(entry.ratio, 3)}× ${entry.ratioInterval ? `(${interval(entry.ratioInterval)})` : ''}`;
 };
-
-/** A median run that failed has no bar: a cross stands in its place. */
-const FAILED = { show: true, position: 'top', formatter: '×', fontSize: 15, color: 'inherit' };
-
-/** @param {Api.Interval|null|undefined} range */
-const interval = (range) => (range ? `${number(range.low, 3)} to ${number(range.high, 3)}` : '–');
 
 /** @param {{one: Api.Score, metric: Api.Heading, suspect?: Api.Suspect}} props */
 const Result = ({ one, metric, suspect }) => {
@@ -279,7 +379,7 @@ const Result = ({ one, metric, suspect }) => {
     <small>
       ${told.join(', ')}
       ${
-        one.runs > one.n
+        one.runs > one.n + one.copies
           ? html`
             <br />
             ${failureText(one.failures)}

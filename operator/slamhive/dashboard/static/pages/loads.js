@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-/** CPU and memory over time. */
+/** CPU and memory: over time, and as figures of a run. */
 import { overTime } from '../charts/trajectory.js';
+import { bytes, number } from '../core/format.js';
 
 const MIB = 2 ** 20;
 const PROGRAM = 'time since the program’s start [s]';
@@ -11,6 +12,30 @@ const KINDS = {
   WorkingSet: 'working set',
   Container: 'container with page cache',
 };
+
+/**
+ * Return the columns of what runs cost. As of cpuColumn: mean cores say what a robot needs in Realtime alone.
+ * @param {Api.Run[]} runs
+ * @param {(row: any) => Api.Run} of
+ * @returns {TableColumn[]}
+ */
+export function costColumns(runs, of) {
+  const realtime = runs.some((run) => run.configuration?.input?.pace === 'Realtime');
+  return [
+    {
+      name: 'cpu',
+      title: realtime ? 'CPU [cores]' : 'CPU [s/s]',
+      kind: 'number',
+      show: (_, row) => number(of(row).usage?.cpu?.[realtime ? 'meanCores' : 'secondsPerDataSecond']),
+    },
+    {
+      name: 'memory',
+      title: 'peak memory',
+      kind: 'number',
+      show: (_, row) => bytes(of(row).usage?.memory?.peakBytes),
+    },
+  ];
+}
 
 /** @param {Api.Numbers} values */
 const inMib = (values) => values.map((value) => (value === null ? null : value / MIB));
@@ -54,11 +79,12 @@ function pair(runs, when, { title, span, ofDataset, single }) {
     memory.forEach((line, at) => {
       line.name = `${line.name}, ${kinds[at]}`;
     });
+  const cores = runs.some(({ usage }) => usage.readerShare) ? 'CPU with the reader [cores]' : 'CPU [cores]';
   const table = {
     columns: [
       { name: 'run', title: 'run' },
       { name: 't', title, kind: 'number' },
-      { name: 'cpu', title: 'CPU [cores]', kind: 'number' },
+      { name: 'cpu', title: cores, kind: 'number' },
       { name: 'memory', title: 'memory [MiB]', kind: 'number' },
     ],
     rows: runs.flatMap(({ name, usage, t }) =>
@@ -85,7 +111,7 @@ function pair(runs, when, { title, span, ofDataset, single }) {
     chart(
       'CPU',
       lines((usage) => usage.cpu),
-      'CPU [cores]',
+      cores,
     ),
     chart('Memory', [...memory, ...anonymous], 'memory [MiB]'),
   ];

@@ -6,7 +6,7 @@ import { number } from '../core/format.js';
 import { Empty, Fault, Link, Notes, useTitle, Waiting } from '../core/parts.js';
 import { questions } from '../core/questions.js';
 import { html } from '../core/ui.js';
-import { Statuses, SweepCards } from './sweeps.js';
+import { severalOf, Statuses, SweepCards } from './sweepcards.js';
 
 /** @type {Array<[string, string, string|null]>} */
 const COUNTED = [
@@ -22,9 +22,14 @@ export default function Overview() {
   useTitle('Overview');
   const index = useData('/api/v1');
   const columns = useData('/api/v1/columns');
+  /** @type {Loading<Api.Sweeps>} */
   const sweeps = useData('/api/v1/sweeps');
-  const counts = index.data?.counts;
-  const empty = counts ? counts.runs === 0 && counts.sweeps === 0 : columns.data?.rows === 0;
+  const several = sweeps.data ? severalOf(sweeps.data) : [];
+  // A single run is stored as a sweep of one, and is none to its reader.
+  const counts = index.data && { ...index.data.counts, sweeps: sweeps.data && several.length };
+  const empty = index.data
+    ? index.data.counts.runs === 0 && index.data.counts.sweeps === 0
+    : columns.data?.rows === 0;
   if (empty)
     return html`
       <h1 class="hidden">Overview</h1>
@@ -63,19 +68,19 @@ export default function Overview() {
     ${
       sweeps.data
         ? html`
-          <${SweepCards}
-            sweeps=${sweeps.data.items}
-            shown=${sweeps.data.items.slice(0, MOST_SWEEPS)}
-          />
+          <${SweepCards} data=${sweeps.data} most=${MOST_SWEEPS} />
           ${
-            sweeps.data.items.length > MOST_SWEEPS &&
+            several.length > MOST_SWEEPS &&
             html`
               <p>
-                <${Link} href="/sweeps">All ${number(sweeps.data.items.length)} sweeps</${Link}>
+                <${Link} href="/sweeps">All ${number(several.length)} sweeps</${Link}>
               </p>
             `
           }
-          ${sweeps.data.items.length === 0 && html`<p class="quiet">No sweep is known here.</p>`}
+          ${
+            several.length + sweeps.data.single.runs === 0 &&
+            html`<p class="quiet">No sweep is known here.</p>`
+          }
         `
         : !sweeps.error && html`<${Waiting} />`
     }

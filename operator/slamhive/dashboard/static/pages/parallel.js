@@ -4,7 +4,7 @@ import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart, COLOURS } from '../core/chart.js';
 import { isNumeric } from '../core/filters.js';
-import { cell, clip, headingOf, number } from '../core/format.js';
+import { cell, clip, cpuColumn, headingOf, number } from '../core/format.js';
 import { NothingFits, Notes, Table, Waiting } from '../core/parts.js';
 import { html, useEffect, useMemo, useState } from '../core/ui.js';
 import { dressed } from './runrows.js';
@@ -24,7 +24,7 @@ export function Parallel({ set, columns, filters, onError }) {
       .map((one) => one.name)
       .slice(0, 5),
     'coverage',
-    'usage.cpu.meanCores',
+    cpuColumn(columns),
     'usage.memory.peakBytes',
     set.y,
   ];

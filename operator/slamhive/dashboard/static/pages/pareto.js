@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Error against cost, or any two figures: who is beaten by nobody in both. */
+import { CROSS } from '../charts/failures.js';
 import { address } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart, COLOURS } from '../core/chart.js';
@@ -76,7 +77,7 @@ function pareto(data, front, set) {
   const mark = (point) =>
     point.sy === null
       ? {
-          symbol: 'path://M0 0L10 10M10 0L0 10',
+          symbol: CROSS,
           itemStyle: { borderColor: COLOURS[0], borderWidth: 1.8 },
         }
       : point.front

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Paths of several runs in one picture: all repetitions of a setting, or whatever the filters leave. */
 import { cropped } from '../charts/cropping.js';
+import { truthsOf } from '../charts/trajectory.js';
 import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { COLOURS } from '../core/chart.js';
@@ -71,6 +72,7 @@ export default function Paths() {
  */
 function Together({ group, alone, colour, csv }) {
   const drawn = useMemo(() => picture(group, colour), [group, colour]);
+  const truths = useMemo(() => truthsOf([{ of: 'all', reference: group.reference }]), [group]);
   const { facets, runs } = group;
   const without = runs.filter((one) => !one.track);
   const title = ['Paths on', facets.dataset, alone ? '' : `(${cell(facets.evaluation)})`]
@@ -105,7 +107,7 @@ function Together({ group, alone, colour, csv }) {
           <div class="facets spaced">
             <${Tracks}
               estimates=${drawn.estimates}
-              reference=${group.reference}
+              truths=${truths}
               byError=${colour === 'error'}
               title=${title}
               csv=${csv}

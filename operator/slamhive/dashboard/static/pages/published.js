@@ -5,18 +5,22 @@ import { csvOf, useData } from '../core/api.js';
 import { clip, columnTitle, number } from '../core/format.js';
 import { Table } from '../core/parts.js';
 import { countText } from '../charts/scatter.js';
-import { html } from '../core/ui.js';
+import { html, useMemo } from '../core/ui.js';
 
 /** @type {Api.PublishedRow[]} */
 const NONE = [];
 
 /**
+ * Return the published numbers that charts show.
  * @param {import('../core/address.js').Query} filters
  * @param {boolean} wanted
  * @returns {Api.PublishedRow[]}
  */
-export const usePublished = (filters, wanted) =>
-  useData(wanted ? address('/api/v1/analysis/published', filters) : null).data?.items ?? NONE;
+export const usePublished = (filters, wanted) => {
+  const { data } = useData(wanted ? address('/api/v1/analysis/published', filters) : null);
+  const drawn = (/** @type {Api.PublishedRow} */ row) => row.isDrawn;
+  return useMemo(() => data?.items?.filter(drawn) ?? NONE, [data]);
+};
 
 /**
  * @param {{filters: import('../core/address.js').Query, metrics: Api.Heading[]}} props metrics: what is
@@ -34,6 +38,7 @@ export function PublishedRows({ filters, metrics }) {
     { name: 'dataset', title: 'dataset' },
     { name: 'system', title: 'system' },
     ...metrics.map((metric) => ({ name: metric.name, title: metric.title ?? columnTitle(metric.name) })),
+    { name: 'verdict', title: 'own runs' },
     { name: 'of', title: 'of' },
     { name: 'alignment', title: 'alignment' },
     {
@@ -49,6 +54,7 @@ export function PublishedRows({ filters, metrics }) {
     alignment: row.alignment ?? 'not said',
     of: countText(row),
     notes: row.notes ?? '',
+    verdict: metrics.flatMap((metric) => row.verdicts[metric.name] ?? []).join('; ') || '–',
     ...Object.fromEntries(
       metrics.map((metric) => {
         const value = row.values[metric.name];
@@ -67,6 +73,7 @@ export function PublishedRows({ filters, metrics }) {
       <${Table} columns=${columns} rows=${rows} caption="Published numbers" />
       <details>
         <summary>Why may mine differ?</summary>
+        <p>${data?.rule}.</p>
         <ul>
           ${(data?.why ?? []).map((/** @type {string} */ one) => html`<li>${clip(one, 300)}</li>`)}
         </ul>

@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 /** One run: how it was set, what it cost, what was measured, and how to run it again. */
-import { overTime, shared, since } from '../charts/trajectory.js';
+import { overTime, shared, since, truthsOf } from '../charts/trajectory.js';
 import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
-import { bytes, cell, clip, number, time } from '../core/format.js';
+import { bytes, cell, clip, namedValue, number, time } from '../core/format.js';
+import { foremost, useNarrow } from '../core/narrow.js';
 import { Choice, Fault, Link, Notes, Status, Table, useTitle, Waiting } from '../core/parts.js';
 import { SuspectNotes } from '../core/suspects.js';
+import { TruthLink } from '../core/truth.js';
 import { html, useMemo } from '../core/ui.js';
-import { loads } from './loads.js';
+import { costColumns, loads } from './loads.js';
 import { Seen } from './seen.js';
 import { Tracks, trackTable } from './tracks.js';
 
@@ -16,12 +18,19 @@ const LONGEST = 4000;
 /** Longer values than this scroll, so keys must reach them. */
 const LONG = 100;
 
-/** A page of one run. @param {{uid: string}} props */
-export default function RunPage({ uid }) {
+/** The page of the run that the address names. */
+export default function RunPage() {
+  const [, uid] = useAddress().path;
+  return html`<${One} key=${uid} uid=${uid} />`;
+}
+
+/** @param {{uid: string}} props */
+function One({ uid }) {
   const base = `/api/v1/runs/${encodeURIComponent(uid)}`;
   const state = useData(base);
   const run = state.data;
-  useTitle(run ? `Run ${clip(run.run ?? run.name, 60)}` : 'Run');
+  useTitle(run ? titleOf(run, uid) : 'Run');
+  const narrow = useNarrow();
   if (!run)
     return html`
       <h1>Run</h1>
@@ -39,18 +48,24 @@ export default function RunPage({ uid }) {
       }
     `;
   const results = run.results ?? [];
+  const { algorithm, dataset, sensors } = run.configuration ?? {};
+  const settings = settingsOf(run);
+  const named = [algorithm ?? `run ${run.run ?? ''}`, ...settings].join(', ');
+  const findings = run.provenance?.prepared?.findings ?? [];
   return html`
-    <h1>${clip(run.name ?? uid, 160)}</h1>
+    <h1>${titleOf(run, uid)}</h1>
+    <p class="settings">${clip([sensors, ...settings].filter(Boolean).join(', '), 400)}</p>
     <p class="row">
       <${Status} value=${results[0]?.outcome ?? run.reason ?? run.phase} />
-      ${
-        run.run !== null &&
-        run.run !== undefined &&
-        run.run !== run.name &&
-        html`
-          <span>run ${clip(cell(run.run), 80)}</span>
-        `
-      }
+      <span class="quiet">
+        run ${clip(run.name ?? uid, 160)}
+        ${
+          run.run !== null &&
+          run.run !== undefined &&
+          run.run !== run.name &&
+          html`, ${clip(cell(run.run), 80)}`
+        }
+      </span>
       ${
         run.sweep &&
         html`
@@ -65,14 +80,27 @@ export default function RunPage({ uid }) {
       <a href=${`${base}/manifest`} download>
         YAML to run it again
       </a>
+      ${dataset && html`<${TruthLink} dataset=${dataset} />`}
     </p>
     ${run.message && html`<p class="quiet">${clip(run.message, LONGEST)}</p>`}
-    <${Results} results=${results} />
+    <${Said} note=${run.note} tags=${run.tags ?? []} />
+    ${
+      findings.length > 0 &&
+      html`
+        <p class="quiet">
+          † <${Link} href=${`/datasets/${encodeURIComponent(dataset ?? '')}`}>Its recording</${Link}> has open
+          findings: ${clip(findings.join(', '), 200)}.
+        </p>
+      `
+    }
+    <${Results} run=${run} results=${results} />
+    <${Notes} notes=${run.notes} />
     <${SuspectNotes}
       keys=${{
         algorithm: run.configuration?.algorithm,
         sensors: run.configuration?.sensors,
         dataset: run.configuration?.dataset,
+        'input.pace': run.configuration?.input?.pace,
       }}
       evaluations=${results.map((/** @type {{evaluation: string}} */ one) => one.evaluation)}
     />
@@ -88,7 +116,7 @@ export default function RunPage({ uid }) {
     ${
       run.files
         ? html`
-          <${Trajectory} base=${base} results=${results} name=${`run ${clip(run.run ?? '', 40)}`} />
+          <${Trajectory} base=${base} results=${results} name=${clip(named, 80)} cameras=${run.cameras} />
           <${Usage} base=${base} />
         `
         : html`
@@ -98,7 +126,7 @@ export default function RunPage({ uid }) {
         `
     }
     <div class="cards facts">
-      <${Facts} title="Configuration" value=${run.configuration} keep=${/^parameters\./} />
+      <${Facts} title="Configuration" value=${run.configuration} keep=${/^parameters\./} folded=${narrow} />
       <${Facts}
         title="How it went"
         value=${{
@@ -110,12 +138,19 @@ export default function RunPage({ uid }) {
           finished: time(run.finished),
         }}
       />
-      <${Facts} title="Cost" value=${run.usage} />
-      <${Facts} title="Frames" value=${run.frames} />
-      <${Facts} title="Own metrics" value=${run.metrics} keep=${/./} />
+      <${Facts} title="Cost" value=${run.usage} labels=${run.labelled} of="usage" />
+      <${Facts} title="Frames" value=${run.frames} labels=${run.labelled} of="frames" folded=${narrow} />
+      <${Facts}
+        title="Own metrics"
+        value=${run.metrics}
+        keep=${/./}
+        labels=${run.labelled}
+        of="metrics"
+        folded=${narrow}
+      />
       <${Facts} title="Labels" value=${run.labels} />
-      <${Facts} title="Trajectory" value=${run.trajectory} />
-      <${Facts} title="Provenance" value=${run.provenance} />
+      <${Facts} title="Trajectory" value=${run.trajectory} folded />
+      <${Facts} title="Provenance" value=${run.provenance} folded />
     </div>
     <${Settings} base=${base} known=${run.files} />
     <${Files} base=${base} known=${run.files} />
@@ -141,6 +176,55 @@ export default function RunPage({ uid }) {
     }
     <${Facts} title="Attributes of the dataset" value=${run.attributes} folded />
   `;
+}
+
+/**
+ * What somebody wrote of the run; each tag leads to the runs that have it.
+ * @param {{note: string|null, tags: string[]}} props
+ */
+function Said({ note, tags }) {
+  if (!note && tags.length === 0) return null;
+  return html`
+    <p class="row">
+      ${note && html`<span>“${clip(note, LONGEST)}”</span>`}
+      ${tags.map(
+        (tag) => html`
+          <${Link} class="chip" href=${address('/runs', { where: `tags contains '${tag}'` })}>${tag}</${Link}>
+        `,
+      )}
+    </p>
+  `;
+}
+
+/**
+ * Return the title of a run: its algorithm and dataset; one of which they are not known has its name.
+ * @param {Api.Run} run
+ * @param {string} uid
+ */
+function titleOf({ configuration, name }, uid) {
+  const { algorithm, dataset } = configuration ?? {};
+  return clip(algorithm && dataset ? `${algorithm} on ${dataset}` : (name ?? uid), 160);
+}
+
+/** Settings that are named where none is known to vary. */
+const MOST_SETTINGS = 6;
+
+/**
+ * Return the settings of a run in words: those that tell it from others like it, or its first parameters.
+ * @param {Api.Run} run
+ */
+function settingsOf({ configuration, varied }) {
+  const pairs = flat(configuration, null);
+  const known = new Map(pairs);
+  const told = varied.length
+    ? varied.map((one) => namedValue(one, known.get(one.name)))
+    : pairs
+        .filter(([name]) => name.startsWith('parameters.'))
+        .slice(0, MOST_SETTINGS)
+        .map(([name, value]) => namedValue(name, value));
+  return [...told, ...(known.has('repetition') ? [`repetition ${known.get('repetition')}`] : [])].map((one) =>
+    clip(one, 100),
+  );
 }
 
 /**
@@ -170,17 +254,17 @@ const shown = (name, value) =>
   clip(/bytes$/i.test(name) && typeof value === 'number' ? bytes(value) : cell(value), LONGEST);
 
 /**
- * @param {{title: string, value: object|null|undefined, keep?: RegExp|null, folded?:
- *   boolean}} props
+ * @param {{title: string, value: object|null|undefined, keep?: RegExp|null, folded?: boolean, labels?:
+ *   Record<string, string>, of?: string}} props labels: what columns are called; of: the part they are of
  */
-function Facts({ title, value, keep = null, folded = false }) {
+function Facts({ title, value, keep = null, folded = false, labels = {}, of = '' }) {
   const pairs = flat(value, keep);
   if (pairs.length === 0) return null;
   const list = html`
     <dl class="facts">
       ${pairs.map(
         ([name, one]) => html`
-          <dt>${clip(name, 120)}</dt>
+          <dt>${clip(labels[`${of}.${name}`] ?? name, 120)}</dt>
           <dd tabindex=${String(one).length > LONG ? 0 : null}>${shown(name, one)}</dd>
         `,
       )}
@@ -204,7 +288,34 @@ function Facts({ title, value, keep = null, folded = false }) {
 }
 
 /** What a trajectory beside a run's own is called. @type {Record<string, string>} */
-const BESIDE = { keyframes: 'keyframes', online: 'poses as first published' };
+const BESIDE = { keyframes: 'keyframes', online: 'causal' };
+
+const CAUSAL =
+  'Causal: each pose as it was first published, which knew nothing of later frames. Final: the last pose ' +
+  'of each stamp, as loops and later frames corrected it.';
+
+/**
+ * Return when poses came, in words: '' where no player noted it.
+ * @param {any} metrics of the run
+ */
+function timeliness({ latencySeconds: latency, realTimeFactor: factor }) {
+  const places = [
+    ['p50', latency?.median],
+    ['p95', latency?.p95],
+    ['p99', latency?.p99],
+    ['max', latency?.max],
+  ].flatMap(([name, value]) => (typeof value === 'number' ? [`${name} ${number(value, 3)} s`] : []));
+  const behind = factor > 1.05 ? 'the node was behind' : 'the node kept up';
+  return [
+    places.length ? `Latency, from a frame to its first pose: ${places.join(', ')}.` : '',
+    typeof factor === 'number' ? `Real-time factor ${number(factor, 3)}: ${behind}.` : '',
+  ]
+    .filter(Boolean)
+    .join(' ');
+}
+
+/** What a run's own trajectory is called. */
+const OWN = ['trajectory', 'final'];
 
 /**
  * The rows of a result: its own, and one for each trajectory that was measured beside it.
@@ -212,7 +323,7 @@ const BESIDE = { keyframes: 'keyframes', online: 'poses as first published' };
  * @returns {any[]}
  */
 const withOthers = ({ beside, ...own }) => [
-  { ...own, of: 'trajectory' },
+  { ...own, of: beside?.online ? 'final' : 'trajectory' },
   ...Object.entries(beside ?? {}).map(([word, found]) => ({
     evaluation: own.evaluation,
     alignment: own.alignment,
@@ -221,11 +332,13 @@ const withOthers = ({ beside, ...own }) => [
   })),
 ];
 
-/** @param {{results: Api.Run['results']}} props */
-function Results({ results }) {
+/** @param {{run: Api.Run, results: Api.Run['results']}} props */
+function Results({ run, results }) {
+  const narrow = useNarrow();
   if (results.length === 0) return null;
   const rows = results.flatMap(withOthers);
   const others = rows.length > results.length;
+  const timely = timeliness(run.metrics);
   /**
    * @param {string} name
    * @param {string} title
@@ -245,26 +358,37 @@ function Results({ results }) {
     { name: 'outcome', title: 'outcome', show: (value) => html`<${Status} value=${value} />` },
     { name: 'coverage', title: 'coverage', kind: 'number' },
     { name: 'scale', title: 'scale', kind: 'number' },
-    ...['rmse', 'mean', 'median', 'std', 'max'].map((which) =>
+    ...['rmse', 'mean', 'median', 'std', 'max'].flatMap((which) => [
       metre(`ate.${which}`, `ATE ${which} [m]`, (row) => row.ate?.[which]),
-    ),
+      ...(which === 'rmse' ? costColumns([run], () => run) : []),
+    ]),
     metre('rpe', 'RPE rmse [m]', (row) => row.rpe?.[0]?.rmse ?? row.rpe?.[0]?.translation?.rmse),
-    ...(rows.some((row) => row.of !== 'trajectory' && row.message)
+    ...(rows.some((row) => !OWN.includes(row.of) && row.message)
       ? [{ name: 'message', title: 'remark', show: (/** @type {unknown} */ text) => clip(cell(text), 200) }]
       : []),
   ];
   return html`
     <h2>Measured</h2>
-    <${Table} columns=${columns} rows=${rows} caption="Results by evaluation" />
+    <${Table}
+      columns=${foremost(columns, narrow ? ['ate.rmse', 'cpu', 'memory', 'outcome'] : [])}
+      rows=${rows}
+      caption="Results by evaluation"
+    />
+    ${rows.some((row) => row.of === BESIDE.online) && html`<p class="quiet">${CAUSAL}</p>`}
+    ${timely && html`<p>${timely}</p>`}
   `;
 }
 
-/** @param {{base: string, results: Api.Run['results'], name: string}} props */
-function Trajectory({ base, results, name }) {
+/**
+ * @param {{base: string, results: Api.Run['results'], name: string, cameras: boolean}} props cameras: whether
+ *   the run was given images
+ */
+function Trajectory({ base, results, name, cameras }) {
   const { query, change } = useAddress();
   const evaluation = query.get('evaluation', results[0]?.evaluation ?? '');
   const url = address(`${base}/trajectory`, { points: 2000, evaluation });
   const { data, error } = useData(url);
+  const truths = useMemo(() => data && truthsOf([{ of: '', reference: data.reference }]), [data]);
   const estimates = useMemo(() => data && [{ name, track: data.estimate }], [data, name]);
   const errors = useMemo(
     () =>
@@ -306,7 +430,7 @@ function Trajectory({ base, results, name }) {
         <div class="facets">
           <${Tracks}
             estimates=${estimates}
-            reference=${data.reference}
+            truths=${truths}
             surveyed=${data.points}
             byError=${true}
             csv=${csvOf(url)}
@@ -331,7 +455,7 @@ function Trajectory({ base, results, name }) {
           ${clip(data.alignment ?? 'nothing', 40)}.
         </p>
         <${Notes} notes=${data.notes} />
-        <${Seen} key=${base} base=${base} data=${data} />
+        ${cameras && html`<${Seen} key=${base} base=${base} data=${data} />`}
       `
     }
   `;

@@ -2,9 +2,10 @@
 /** The runs behind a chart. */
 import { address } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
-import { number, shortTitles } from '../core/format.js';
+import { clip, namedValue, number, shortTitles } from '../core/format.js';
 import { foremost, useNarrow } from '../core/narrow.js';
 import { Fault, Link, runLink, Status, Table } from '../core/parts.js';
+import { TruthLink } from '../core/truth.js';
 import { html } from '../core/ui.js';
 
 const SHOWN = ['uid', 'run', 'algorithm', 'sensors', 'dataset', 'status', 'coverage'];
@@ -14,11 +15,12 @@ const SHOWN = ['uid', 'run', 'algorithm', 'sensors', 'dataset', 'status', 'cover
  * @param {{filters: import('../core/address.js').Query, extra: string[], selected?: boolean, title?: string,
  *   sort?: string}} props
  */
-export function RunRows({ filters, extra, selected = false, title = 'Runs', sort = '' }) {
+export function RunRows({ filters, extra, selected = false, title = 'Runs', sort = '-finished' }) {
   const narrow = useNarrow();
   const columns = [...new Set([...SHOWN, ...extra.filter(Boolean)])];
   const url = address('/api/v1/runs', filters.with({ columns: columns.join(','), sort, limit: 25 }));
   const state = useData(url);
+  const shown = state.data && folded(state.data, columns, [...KEPT, ...extra]);
   return html`
     <section>
       <h2>
@@ -39,14 +41,55 @@ export function RunRows({ filters, extra, selected = false, title = 'Runs', sort
       ${
         state.data &&
         html`
+          <${Same} said=${shown?.said} />
           <${Table}
-            columns=${foremost(dressed(state.data.columns), narrow ? ['run', 'status', ...extra] : [])}
-            rows=${state.data.items} caption="Runs" />
+            columns=${foremost(shown?.columns ?? [], narrow ? onPhone(extra) : [])}
+            rows=${state.data.items}
+            caption="Runs"
+          />
         `
       }
     </section>
   `;
 }
+
+/**
+ * Return the columns of runs that come first where little is seen: of whom they are, then what is told.
+ * @param {string[]} told the setting that varies, errors and costs
+ */
+export const onPhone = (told) => [...new Set(['algorithm', ...told, 'status', 'run'])];
+
+/** Column of what was found to be wrong with the recording of a run. */
+export const FINDINGS = 'prepared.findings';
+
+/** Columns that are worth their room even where all runs have one value in them. */
+export const KEPT = ['run', 'finished', 'status', 'ate.rmse'];
+
+/**
+ * Return the columns of a table of runs, and what all of its runs share in a sentence, which then need no
+ * column.
+ * @param {Api.Runs} data
+ * @param {string[]} chosen columns that are meant to be shown
+ * @param {string[]} kept those that are shown in any case
+ */
+export function folded(data, chosen, kept) {
+  const same = (data.same ?? []).filter((name) => chosen.includes(name) && !kept.includes(name));
+  const [first] = data.items;
+  const headings = shortTitles(data.columns);
+  const said = headings
+    .filter((one) => same.includes(one.name) && first?.[one.name] !== null)
+    .map((one) => clip(namedValue(one, first?.[one.name]), 80));
+  return {
+    columns: dressed(data.columns).filter((one) => chosen.includes(one.name) && !same.includes(one.name)),
+    said: first ? said.join(', ') : '',
+  };
+}
+
+/**
+ * What all runs of a table share.
+ * @param {{said: string|null|undefined}} props
+ */
+export const Same = ({ said }) => said && html`<p class="quiet">All of them: ${said}</p>`;
 
 /**
  * Give headings of the runs table their links and colours; `uid` becomes the link of `run`.
@@ -64,5 +107,24 @@ export const dressed = (headings) =>
         };
       if (one.name === 'status' || one.name === 'outcome' || one.name === 'phase')
         return { ...one, show: (value) => (value === null ? '–' : html`<${Status} value=${value} />`) };
+      if (one.name === 'dataset')
+        return {
+          ...one,
+          show: (value, row) =>
+            value === null
+              ? '–'
+              : html`
+                ${clip(value, 48)}
+                ${
+                  row[FINDINGS] &&
+                  html`
+                    ${' '}
+                    <${TruthLink} dataset=${value}>
+                      <abbr title=${`open findings: ${clip(row[FINDINGS], 200)}`}>†</abbr>
+                    </${TruthLink}>
+                  `
+                }
+              `,
+        };
       return one;
     });

@@ -3,63 +3,48 @@
 import { address, Query, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { columnOptions, Filters, isEmpty, shownByFilters, useColumns } from '../core/filters.js';
-import { clip, number } from '../core/format.js';
+import { clip, cpuColumn, number } from '../core/format.js';
 import { foremost, useNarrow } from '../core/narrow.js';
 import { Empty, Fault, Link, NothingFits, Notes, Table, Tick, useTitle, Waiting } from '../core/parts.js';
+import { TruthLink } from '../core/truth.js';
 import { html, useState } from '../core/ui.js';
-import RunPage from './run.js';
-import { dressed } from './runrows.js';
+import { FINDINGS, folded, KEPT, onPhone, Same } from './runrows.js';
 
-const USUAL = [
-  'run',
-  'algorithm',
-  'sensors',
-  'dataset',
-  'sweep',
-  'status',
-  'coverage',
-  'ate.rmse',
-  'rpe[0].rmse',
-  'usage.cpu.meanCores',
-  'usage.memory.peakBytes',
-  'finished',
-];
-/** What comes first where little is seen. */
-const ON_A_PHONE = ['run', 'status', 'ate.rmse'];
+/** What a player notes of nodes is there where there are any. */
+const CAUSAL = 'beside.online.ate.rmse';
+/** Columns before and behind the settings that vary. */
+const USUAL = ['run', 'finished', 'status', 'ate.rmse', CAUSAL, 'algorithm', 'sensors', 'dataset'];
+const PACE = 'input.pace';
+const MORE = ['rpe[0].rmse', 'coverage'];
+const PLAYED = ['lateSeconds', 'metrics.latencySeconds.p95', 'metrics.realTimeFactor'];
+const LAST = ['usage.memory.peakBytes', ...PLAYED, 'sweep', 'tags', 'note'];
+/** A table of runs is read from the latest one. */
+const NEWEST = '-finished';
 const MOST_COMPARED = 8;
 /** Settings that vary are shown too, so many. */
 const MOST_SETTINGS = 6;
 
 export default function Runs() {
-  const { path } = useAddress();
-  return path.length > 1 ? html`<${RunPage} key=${path[1]} uid=${path[1]} />` : html`<${AllRuns} />`;
-}
-
-function AllRuns() {
   const { query, change } = useAddress();
   const [marked, setMarked] = useState(/** @type {string[]} */ ([]));
   useTitle('Runs');
   const columns = useColumns();
   const known = columns.data?.items ?? [];
   const narrow = useNarrow();
-  const settings = known
-    .filter(({ group, distinct }) => (group === 'input' || group === 'parameters') && distinct > 1)
-    .slice(0, MOST_SETTINGS)
-    .map(({ name }) => name);
-  const usual = foremost(
-    USUAL.flatMap((name) => (name === 'dataset' ? [name, ...settings] : [name])).map((name) => ({ name })),
-    narrow ? ON_A_PHONE : [],
-  )
-    .map((one) => one.name)
-    .filter((name) => known.some((one) => one.name === name));
+  /** @param {string} name */
+  const isKnown = (name) => known.some((one) => one.name === name);
+  const paces = known.find((one) => one.name === PACE)?.distinct ?? 0;
+  const settings = [...(paces > 1 ? [PACE] : []), ...(columns.data?.varied ?? [])].slice(0, MOST_SETTINGS);
+  const usual = [...USUAL, ...settings, ...MORE, cpuColumn(known), ...LAST].filter(isKnown);
   const chosen = query.get('columns')
     ? query.get('columns').split(',')
     : usual.length
       ? usual
       : ['run', 'algorithm'];
+  const sort = query.get('sort') || (isKnown('finished') ? NEWEST : '');
   const asked = {
-    columns: ['uid', ...chosen.filter((name) => name !== 'uid')].join(','),
-    sort: query.get('sort'),
+    columns: [...new Set(['uid', ...chosen, ...(isKnown(FINDINGS) ? [FINDINGS] : [])])].join(','),
+    sort,
     limit: query.get('limit', '100'),
   };
   const table = address('/api/v1/runs', query.filters().with(asked));
@@ -95,6 +80,7 @@ function AllRuns() {
         />
       `,
   };
+  const shown = state.data && folded(state.data, chosen, query.get('columns') ? chosen : KEPT);
   return html`
     <h1>Runs ${state.data && html`<span class="quiet">${number(state.data.total)}</span>`}</h1>
     ${
@@ -132,6 +118,7 @@ function AllRuns() {
             <a href=${csvOf(table)} download>
               CSV
             </a>
+            <${TruthLink} filters=${query.filters()} />
             ${
               marked.length > 0 &&
               html`
@@ -144,11 +131,18 @@ function AllRuns() {
           ${
             state.data.items.length
               ? html`
+                <${Same} said=${shown?.said} />
                 <${Table}
-                  columns=${[marks, ...dressed(state.data.columns)]}
+                  columns=${foremost(
+                    [marks, ...(shown?.columns ?? [])],
+                    narrow
+                      ? [...onPhone([...settings.slice(0, 1), 'ate.rmse', cpuColumn(known)]), 'uid']
+                      : [],
+                  )}
                   rows=${state.data.items}
                   caption="Runs"
-                  sort=${query.get('sort')}
+                  fixed=${narrow ? 1 : 2}
+                  sort=${sort}
                   onSort=${(sort) => change({ sort, after: null })}
                 />
               `

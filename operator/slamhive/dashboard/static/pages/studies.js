@@ -1,18 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
 /** What the runs prove: competitors two by two, settings that matter, what repeats, what is suspect. */
 import { importanceCharts } from '../charts/importance.js';
-import { pairsChart } from '../charts/pairs.js';
-import { spreadChart, suspectChart } from '../charts/spread.js';
+import { pairsChart, sure } from '../charts/pairs.js';
+import { spreadChart } from '../charts/spread.js';
 import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
-import { columnOptions, Filters, isNumeric, shownByFilters, useColumns } from '../core/filters.js';
+import { columnOptions, Filters, isMeasure, shownByFilters, useColumns } from '../core/filters.js';
 import { cell, clip, columnTitle, keysText, number, signOf, SUBJECT, tellingKeys } from '../core/format.js';
 import { Choice, Fault, Link, Notes, Outcomes, Places, Table, useTitle, Waiting } from '../core/parts.js';
+import { foremost, useNarrow } from '../core/narrow.js';
 import { html, useMemo } from '../core/ui.js';
 import { Common, EACH_RUN, Narrowing } from './common.js';
 import { failureText } from './groups.js';
 import { COMPETITORS, usualCompetitors } from './leaderboard.js';
+import { Suspects } from './suspects.js';
 import { Versions } from './versions.js';
 
 /**
@@ -70,8 +72,8 @@ const STUDIES = {
     Shown: Suspects,
     settings: [],
     says:
-      'Scales that are off 1 by the same factor in all runs: the calibration is wrong, or the depth ' +
-      'factor, not the algorithm.',
+      'Where what runs are measured by is the likelier one to be wrong: scales that are off 1 by the same ' +
+      'factor in all runs, and stretches of ground truth that different algorithms contradict together.',
   },
 };
 const MOST_SUBJECTS = 12;
@@ -140,7 +142,7 @@ export default function Studies() {
                     <${Choice}
                       label="Measured by"
                       value=${set.metric}
-                      options=${columnOptions(all, isNumeric)}
+                      options=${columnOptions(all, isMeasure)}
                       error=${wrong('metric')}
                       onChange=${(metric) => change({ metric })}
                     />
@@ -220,6 +222,8 @@ const range = (interval, otherwise = '–') =>
 const small = (p) =>
   p === null || p === undefined ? '–' : p < 0.05 ? html`<b>${number(p, 3)}</b>` : number(p, 3);
 
+const PALE = ' (pale: may be chance)';
+
 /** @param {{data: Api.Compare, csv: string, without: Shown}} props */
 function Pairs({ data, csv, without }) {
   const drawn = useMemo(
@@ -229,6 +233,7 @@ function Pairs({ data, csv, without }) {
         .map((board) => ({ board, option: pairsChart(board.pairs, data.metric) })),
     [data],
   );
+  const narrow = useNarrow();
   const { query, change } = useAddress();
   const largest = [...data.boards].sort((a, b) => b.competitors - a.competitors)[0];
   const places = html`
@@ -270,14 +275,20 @@ function Pairs({ data, csv, without }) {
           height=${option.height}
           csv=${csv}
           table=${{ columns, rows: board.pairs }}
-          title=${`${question}: ${clip(data.metric.title, 60)}`}
+          title=${`${question}: ${clip(data.metric.title, 60)}${board.pairs.every(sure) ? '' : PALE}`}
         />
         <p class="quiet">
           Green: the row's figures are ${green} than the column's, on more datasets and by more;
           purple: ${purple}. The size of the effect is the matched-pairs rank-biserial correlation,
-          from −1 to 1; the numbers are datasets won and lost; a star marks p after Holm below 0.05.
+          from −1 to 1; the numbers are datasets won and lost; a star marks p after Holm below 0.05,
+          and what is pale may be chance, or is on too few datasets to tell.
         </p>
-        <${Table} columns=${columns} rows=${board.pairs} caption="Competitors two by two" />
+        <${Table}
+          columns=${narrow ? foremost(columns, ['sentence']) : columns}
+          rows=${board.pairs}
+          caption="Competitors two by two"
+          fixed=${narrow ? 0 : 2}
+        />
       </section>
     `,
   );
@@ -358,6 +369,7 @@ const share = (value) => (value === null || value === undefined ? '–' : `${num
 /** @param {{data: Api.Repeatability, csv: string, without: Shown}} props */
 function Repeatability({ data, csv, without }) {
   const drawn = useMemo(() => spreadChart(data), [data]);
+  const narrow = useNarrow();
   if (data.groups.length === 0) return without;
   const names = Object.keys(data.groups[0].keys);
   const told = names.filter((name) => new Set(data.groups.map((group) => String(group.keys[name]))).size > 1);
@@ -372,16 +384,22 @@ function Repeatability({ data, csv, without }) {
     wanted.map((name) => ({
       name: `key ${name}`,
       title: columnTitle(name),
-      show: (_, group) => clip(cell(group.keys[name]), 48),
+      show: (_, group) => clip(cell(group.keys[name]), 90),
     }));
-  const settings = told.filter((name) => !SUBJECT.includes(name));
+  const [subject, settings] = [true, false].map((is) => told.filter((name) => SUBJECT.includes(name) === is));
+  const whom = subject.filter((name) => name !== 'sensors').map((name) => `key ${name}`);
   const few = settings.length <= 3;
   /** @type {TableColumn[]} */
   const columns = [
-    ...keyed(told.filter((name) => SUBJECT.includes(name) || few)),
+    ...keyed([...subject, ...(few ? settings : [])]),
+    {
+      name: 'verdict',
+      title: 'in words',
+      show: (text) => html`<span class="wrapped">${clip(text, 300)}</span>`,
+    },
     { name: 'runs', title: 'runs', kind: 'integer' },
-    { name: 'n', title: 'tracked', kind: 'integer' },
-    { name: 'distinct', title: 'different paths', kind: 'integer' },
+    { name: 'n', title: 'tracked', kind: 'integer', show: (n, { copies }) => number(n + copies) },
+    { name: 'distinct', title: 'different results', kind: 'integer' },
     { name: 'failures', title: 'failures', show: failureText },
     {
       name: 'figure',
@@ -402,11 +420,6 @@ function Repeatability({ data, csv, without }) {
       show: (_, group) => number(scaled(group.figure?.max)),
     },
     { name: 'relativeSpread', title: 'spread', kind: 'number', show: share },
-    {
-      name: 'verdict',
-      title: 'in words',
-      show: (text) => html`<span class="wrapped">${clip(text, 300)}</span>`,
-    },
     ...(few ? [] : keyed(settings)),
   ];
   return html`
@@ -423,9 +436,10 @@ function Repeatability({ data, csv, without }) {
       `
     }
     <${Table}
-      columns=${columns}
+      columns=${narrow ? foremost(columns, [...whom, 'relativeSpread', 'figure']) : columns}
       rows=${data.groups.slice(0, MOST_ROWS)}
       caption="Configurations and their repetitions"
+      fixed=${subject.length}
     />
     ${
       data.groups.length > MOST_ROWS &&
@@ -433,57 +447,5 @@ function Repeatability({ data, csv, without }) {
         <p class="quiet">The ${MOST_ROWS} with most runs are shown; the CSV has all.</p>
       `
     }
-  `;
-}
-
-/** @param {{data: Api.Suspects, csv: string, without: Shown}} props */
-function Suspects({ data, csv, without }) {
-  const drawn = useMemo(() => suspectChart(data.items), [data]);
-  if (data.items.length === 0) return without;
-  const names = [...new Set(data.items.flatMap((item) => Object.keys(item.keys)))];
-  /** @type {TableColumn[]} */
-  const columns = [
-    ...names.map((name) => ({
-      name: `key ${name}`,
-      title: columnTitle(name),
-      show: (/** @type {unknown} */ _, /** @type {Api.Suspect} */ item) =>
-        item.keys[name] === undefined ? 'all' : clip(cell(item.keys[name]), 48),
-    })),
-    { name: 'n', title: 'runs', kind: 'integer' },
-    { name: 'scale', title: 'scale', kind: 'number' },
-    { name: 'spread', title: 'spread', kind: 'number', show: (value) => number(value, 2) },
-    {
-      name: 'shown',
-      title: 'drawn',
-      sortable: false,
-      show: (_, item) => html`
-        <${Link}
-          href=${address('/explore', {
-            kind: 'scatter',
-            x: 'run',
-            y: 'scale',
-            colour: 'dataset',
-            ...item.keys,
-          })}
-        >
-          its scales
-        </${Link}>
-      `,
-    },
-    {
-      name: 'sentence',
-      title: 'in words',
-      show: (text) => html`<span class="wrapped">${clip(text, 400)}</span>`,
-    },
-  ];
-  return html`
-    <${Chart}
-      option=${drawn.option}
-      height=${drawn.height}
-      csv=${csv}
-      table=${{ columns, rows: data.items }}
-      title="Scales that are off"
-    />
-    <${Table} columns=${columns} rows=${data.items} caption="Suspect calibrations" />
   `;
 }

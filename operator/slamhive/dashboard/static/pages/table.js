@@ -4,14 +4,17 @@ import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Filters, shownByFilters, useColumns } from '../core/filters.js';
 import { clip } from '../core/format.js';
+import { useNarrow } from '../core/narrow.js';
 import { Choice, Fault, Link, NothingFits, Notes, Table, Tick, useTitle, Waiting } from '../core/parts.js';
 import { published } from '../core/questions.js';
+import { TruthLink } from '../core/truth.js';
 import { html } from '../core/ui.js';
-import { FIGURES, groupTable } from './groups.js';
+import { FIGURES, groupTable, onPhone } from './groups.js';
 
 export default function Groups() {
   const { query, change } = useAddress();
   const title = query.get('title') || 'Table';
+  const narrow = useNarrow();
   useTitle(title);
   const columns = useColumns();
   const set = {
@@ -95,12 +98,17 @@ export default function Groups() {
             Figures are over n ${set.outcomes === 'all' ? 'evaluated' : 'tracked'} runs.${' '}
             <a href=${csvOf(url)} download>
               CSV
-            </a>
+            </a>${' '}
+            <${TruthLink} filters=${query.filters()} />
           </p>
           ${
             shown.rows.length
               ? html`
-                <${Table} columns=${shown.columns} rows=${shown.rows.slice(0, 1000)} caption=${title} />
+                <${Table}
+                  columns=${narrow ? onPhone(shown, figures[0]) : shown.columns}
+                  rows=${shown.rows.slice(0, 1000)}
+                  caption=${title}
+                />
               `
               : html`
                 <${NothingFits} />

@@ -28,7 +28,10 @@ export default function TimelinePage() {
   const { data, error } = useData(url);
   return html`
     <h1>Timeline</h1>
-    ${query.get('embed') !== '1' && html`<${Filters} columns=${columns.data?.items} error=${error} />`}
+    ${
+      query.get('embed') !== '1' &&
+      html`<${Filters} columns=${columns.data?.items} error=${error} versions=${false} />`
+    }
     ${!shownByFilters(error, query) && html`<${Fault} error=${error} />`}
     ${
       data

@@ -3,6 +3,7 @@
 import { errorRange, plane, PLANES, TRUTH } from '../charts/trajectory.js';
 import { useAddress } from '../core/address.js';
 import { Chart, COLOURS } from '../core/chart.js';
+import { useNarrow } from '../core/narrow.js';
 import { Space } from '../core/space.js';
 import { html, useMemo } from '../core/ui.js';
 
@@ -42,11 +43,11 @@ export const trackTable = (estimates, columns = FIGURES) => ({
 });
 
 /**
- * @param {{estimates: Array<{name: string, track: Api.Track, colour?: string}>, reference: Api.Track|null,
+ * @param {{estimates: Array<{name: string, track: Api.Track, colour?: string}>, truths: Truth[],
  *   surveyed?: Api.Track|null, byError: boolean, csv?: string|true, title: string, aligned?: string}} props
  *   surveyed: control points; byError: colours tell the error instead of the run
  */
-export function Tracks({ estimates, reference, surveyed = null, byError, csv, title }) {
+export function Tracks({ estimates, truths, surveyed = null, byError, csv, title }) {
   const { query, change } = useAddress();
   const drawn = useMemo(() => {
     const tracks = [...estimates.map((one) => one.track), ...(surveyed ? [surveyed] : [])];
@@ -54,19 +55,9 @@ export function Tracks({ estimates, reference, surveyed = null, byError, csv, ti
     return {
       range,
       table: trackTable([...estimates, ...(surveyed ? [{ name: 'control points', track: surveyed }] : [])]),
-      planes: PLANES.map(([name, a, b]) => [name, plane(estimates, reference, a, b, range, surveyed)]),
+      planes: PLANES.map(([name, a, b]) => [name, plane(estimates, truths, a, b, range, surveyed)]),
       paths: [
-        ...(reference
-          ? [
-              {
-                name: 'ground truth',
-                track: reference,
-                colour: TRUTH_UNDER,
-                width: 4,
-                under: true,
-              },
-            ]
-          : []),
+        ...truths.map((one) => ({ ...one, colour: TRUTH_UNDER, width: 4, under: true })),
         ...estimates.map((one, at) => ({
           name: one.name,
           track: one.track,
@@ -76,21 +67,23 @@ export function Tracks({ estimates, reference, surveyed = null, byError, csv, ti
         })),
       ],
     };
-  }, [estimates, reference, surveyed, byError]);
-  return html`
-    ${drawn.planes.map(
-      ([name, option]) => html`
-        <${Chart}
-          key=${name}
-          option=${option}
-          height=${360}
-          csv=${csv ?? true}
-          table=${drawn.table}
-          title=${`${title} ${name}${drawn.range ? ', coloured by error' : ''}`}
-        />
-      `,
-    )}
+  }, [estimates, truths, surveyed, byError]);
+  const narrow = useNarrow();
+  const planes = drawn.planes.map(
+    ([name, option]) => html`
+      <${Chart}
+        key=${name}
+        option=${option}
+        height=${narrow ? 280 : 360}
+        csv=${csv ?? true}
+        table=${drawn.table}
+        title=${`${title} ${name}${drawn.range ? ', coloured by error' : ''}`}
+      />
+    `,
+  );
+  const space = html`
     <${Space}
+      key="space"
       title=${`${title} in 3D`}
       paths=${drawn.paths}
       range=${drawn.range}
@@ -101,4 +94,6 @@ export function Tracks({ estimates, reference, surveyed = null, byError, csv, ti
       onView=${(view) => change({ view }, true)}
     />
   `;
+  // On a phone, from above and in space come first: both views from the sides are thin bands.
+  return narrow ? [planes[0], space, ...planes.slice(1)] : [...planes, space];
 }

@@ -11,10 +11,10 @@ import time
 import xmlrpc.client
 from typing import TYPE_CHECKING, Any
 
-from slamhive.playback.protocol import LOOPBACK, PlayError, ros_variables
+from slamhive.playback.protocol import LOOPBACK, PlayError, ros1_variables
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
     from pathlib import Path
 
 PLAYER_NODE, BAG_NODE = "/slamhive_player", "/slamhive_bag"
@@ -78,7 +78,7 @@ class Master:
         port = port or _free_port()
         self.uri = f"http://{LOOPBACK}:{port}"
         (folder / "ros").mkdir(exist_ok=True)
-        os.environ.update(ros_variables(self.uri, str(folder / "ros")))
+        os.environ.update(ros1_variables(self.uri, str(folder / "ros")))
         self._program = RosProgram(["roscore", "-p", str(port)], folder / "roscore.log")
         self.api = xmlrpc.client.ServerProxy(self.uri)
         deadline = time.monotonic() + _MASTER_SECONDS
@@ -109,13 +109,13 @@ class Master:
         """Let all nodes from now on take their time from the bag."""
         self.api.setParam(PLAYER_NODE, "/use_sim_time", True)
 
-    def taken(self, topics: Sequence[str]) -> list[str]:
+    def taken(self, topics: Sequence[str], node: str) -> list[str]:
         """Return those of the topics whose messages reach a node that isn't ours, if the bag were played now.
 
-        The bag's node is asked for its connections: the master only knows who wants to have some.
+        The node that plays is asked for its connections: the master only knows who wants to have some.
         """
         try:
-            found: Any = self.api.lookupNode(PLAYER_NODE, BAG_NODE)
+            found: Any = self.api.lookupNode(PLAYER_NODE, node)
             if found[0] != 1:
                 return []
             answer: Any = xmlrpc.client.ServerProxy(str(found[2])).getBusInfo(PLAYER_NODE)
@@ -134,6 +134,20 @@ class Master:
             return False
         publishers = {str(name): nodes for name, nodes in found[2][0]} if found[0] == 1 else {}
         return bool(set(publishers.get(topic, ())) - {BAG_NODE, PLAYER_NODE})
+
+    def published(self, types: Collection[str]) -> list[str]:
+        """Return the topics of some types that nodes that aren't ours have announced, each with its type."""
+        try:
+            state: Any = self.api.getSystemState(PLAYER_NODE)
+            known: Any = self.api.getTopicTypes(PLAYER_NODE)
+        except (OSError, xmlrpc.client.Error):
+            return []
+        kinds = {str(topic): str(kind) for topic, kind in known[2]}
+        return sorted(
+            f"{topic} ({kinds[topic]})"
+            for topic, nodes in state[2][0]
+            if kinds.get(topic, "").partition("/")[2] in types and set(nodes) - {BAG_NODE, PLAYER_NODE}
+        )
 
     def end(self) -> None:
         """End it."""

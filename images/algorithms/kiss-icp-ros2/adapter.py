@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Adapter of KISS-ICP as a ROS 2 node: scans from the lidar's topic, poses to /kiss_icp/odometry."""
+
+import numpy as np
+from adapter_frames import JoinedFrames, write_numbers
+from adapter_recording import decode_cloud, pose_stamp
+from adapter_ros2 import Poses, RosNode
+from adapter_support import Run, Stopwatch, run_adapter
+from kiss_icp.kiss_icp import KissICP
+from lockstep import configure
+from sensor_msgs.msg import PointCloud2
+
+
+def program(run: Run) -> None:
+    """Register scans until the node is told to end."""
+    lidar, deskew = run.sensor("lidar"), run.parameter("deskew")
+    odometry, watch = KissICP(configure(run)), Stopwatch()
+    with RosNode("kiss_icp") as node:
+        poses = Poses(node, "/kiss_icp/odometry", "lidar")
+        frames = JoinedFrames(run, {"lidar": decode_cloud}, node.is_ended)
+        node.listen(frames, {"lidar": PointCloud2})
+        for (scan,) in frames:
+            if not len(scan.data.points):
+                continue
+            with watch.frame():
+                times = np.array([]) if scan.data.times is None else scan.data.times
+                odometry.register_frame(scan.data.points, times)
+            poses.publish(pose_stamp(scan, lidar, deskew), odometry.last_pose)
+    write_numbers(run, frames, watch)
+
+
+if __name__ == "__main__":
+    run_adapter(program)

@@ -1,0 +1,1 @@
+../kiss-icp/adapter.py

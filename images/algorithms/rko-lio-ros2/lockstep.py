@@ -1,0 +1,1 @@
+../rko-lio/adapter.py

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Images and LiDAR scans made worse, each as one function of a message; `perturbing` says of which."""
+
+from __future__ import annotations
+
+import math
+from functools import cache, cached_property
+from statistics import NormalDist
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from slamhive.data.recordings.clouds import chosen_points, cloud_points
+from slamhive.data.recordings.images import compressed_anew, compressed_pixels, image_pixels, with_pixels
+from slamhive.model.errors import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import numpy.typing as npt
+
+    from slamhive.model.run import ImagesPerturbation, LidarPerturbation
+
+    Numbers = Callable[..., np.random.Generator]
+    Pixels = npt.NDArray[Any]
+
+STEP_SECONDS = 1.0
+"""Time for which an exposure stays as it is, s."""
+
+
+def disturbed_scan(message: Any, wanted: LidarPerturbation, numbers: Numbers, index: int, where: str) -> Any:
+    """Return a PointCloud2 with noise on its ranges, and without some of its points.
+
+    Args:
+        message: The scan.
+        wanted: What is done to it.
+        numbers: Opens the random numbers of a purpose and message.
+        index: Number of the scan.
+        where: What it is, for messages.
+
+    Raises:
+        DataError: Its points have no positions, or it is damaged.
+    """
+    points = cloud_points(message, where)
+    names = points.dtype.names or ()
+    if missing := [axis for axis in "xyz" if axis not in names]:
+        raise DataError(f"{where}: points have no field {missing[0]!r}; they have: {', '.join(names)}")
+    x, y, z = (points[axis].astype(np.float64) for axis in "xyz")
+    stay = np.ones(len(points), dtype=np.bool_)
+    if wanted.sector:
+        stay &= ~(np.abs(np.arctan2(y, x)) > math.pi - math.radians(wanted.sector) / 2)
+    if wanted.drop_points:
+        stay &= numbers("dropPoints", index=index).random(len(points)) >= wanted.drop_points
+    if wanted.range_noise:
+        noise = numbers("rangeNoise", index=index).standard_normal(len(points)) * wanted.range_noise
+        ranges = np.sqrt(x * x + y * y + z * z)
+        # What is no return, or would be behind the sensor, stays where it is.
+        moves = (ranges > 0) & (ranges + noise > 0)
+        scale = np.where(moves, 1.0 + noise / np.where(moves, ranges, 1.0), 1.0)
+        for axis, values in zip("xyz", (x, y, z), strict=True):
+            points[axis] = values * scale
+    return chosen_points(message, points, stay)
+
+
+class Shutter:
+    """Disturbance of the images of one camera.
+
+    Args:
+        wanted: What is done to them.
+        numbers: Opens the random numbers of a purpose and message.
+    """
+
+    def __init__(self, wanted: ImagesPerturbation, numbers: Numbers) -> None:
+        self._wanted = wanted
+        self._numbers = numbers
+
+    @property
+    def is_idle(self) -> bool:
+        """Tell whether the pixels stay as they are."""
+        one = self._wanted
+        found = (one.blur, one.noise, one.exposure_step, one.jpeg_quality, one.occlusion)
+        return not any(found) and one.gamma in {None, 1}
+
+    def disturbed(self, pixels: Pixels, index: int, nanoseconds: int) -> Pixels:
+        """Return an image after all that befalls it: optics first, then the sensor, then the compression.
+
+        Args:
+            pixels: Of 8 or 16 bits, (height, width[, channels]).
+            index: Number of the image.
+            nanoseconds: Time since the camera's first image.
+        """
+        one, most = self._wanted, int(np.iinfo(pixels.dtype).max)
+        if one.occlusion:
+            pixels = pixels.copy()
+            rows, columns = self._covered(*pixels.shape[:2])
+            pixels[rows, columns] = 0
+        if one.blur:
+            pixels = cv2.filter2D(pixels, -1, self._trace, borderType=cv2.BORDER_REPLICATE)
+        brighter = one.exposure_step and int(nanoseconds / 1e9 // STEP_SECONDS) % 2
+        if brighter or one.gamma not in {None, 1}:
+            table = (
+                np.arange(most + 1) / most * (2.0**one.exposure_step if one.exposure_step and brighter else 1)
+            )
+            table = np.clip(table, 0.0, 1.0) ** (one.gamma or 1.0)
+            pixels = np.rint(table * most).astype(pixels.dtype)[pixels]
+        if one.noise:
+            drawn = self._numbers("noise", index=index).integers(0, _STEPS, pixels.shape, dtype=np.uint16)
+            noisy = pixels + np.rint(_normal() * (one.noise * most / 255)).astype(np.int32)[drawn]
+            pixels = np.clip(noisy, 0, most).astype(pixels.dtype)
+        if one.jpeg_quality:
+            pixels = _through_jpeg(pixels, one.jpeg_quality)
+        return pixels
+
+    @cached_property
+    def _trace(self) -> npt.NDArray[np.float64]:
+        """Weights of neighbours in a row for a motion of d px, linear between pixels, shape (1, 2n + 1)."""
+        d = float(self._wanted.blur or 0.0)
+        reach = math.ceil(d / 2 + 1)
+        offsets = np.arange(-reach, reach + 1, dtype=np.float64)
+        weights = _under_tent(d / 2 - offsets) - _under_tent(-d / 2 - offsets)
+        return (weights / d)[None]
+
+    def _covered(self, height: int, width: int) -> tuple[slice, slice]:
+        """Return the rows and columns of a rectangle in the image's shape, at the same place in all."""
+        side = math.sqrt(self._wanted.occlusion or 0.0)
+        rows, columns = round(height * side), round(width * side)
+        down, right = self._numbers("occlusion").random(2)
+        top, left = round(down * (height - rows)), round(right * (width - columns))
+        return slice(top, top + rows), slice(left, left + columns)
+
+
+def _under_tent(end: Pixels) -> Pixels:
+    """Return the integral of max(0, 1 - |s|) up to an end."""
+    end = np.clip(end, -1.0, 1.0)
+    return np.where(end < 0, (1 + end) ** 2 / 2, 1 - (1 - end) ** 2 / 2)
+
+
+def _through_jpeg(pixels: Pixels, quality: int) -> Pixels:
+    if pixels.dtype != np.uint8:
+        raise DataError("input.perturb.images.jpegQuality takes images of 8 bits, these have 16")
+    encoded = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    decoded: Any = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED)
+    return np.asarray(decoded)
+
+
+_STEPS = 2**16
+
+
+@cache
+def _normal() -> npt.NDArray[np.float64]:
+    """Return values that are normally distributed when drawn evenly, to 4.3 sigma, shape (n,).
+
+    Drawing these, rounded, takes less than half of the time of drawing and rounding numbers for each pixel.
+    """
+    inverse = NormalDist().inv_cdf
+    return np.array([inverse((k + 0.5) / _STEPS) for k in range(_STEPS)])
+
+
+_RED_FIRST = ("rgb8", "rgba8", "rgb16")
+
+
+def disturbed_image(message: Any, shutter: Shutter, index: int, nanoseconds: int, where: str) -> Any:
+    """Return an Image or CompressedImage of a camera, disturbed; transparency stays.
+
+    Args:
+        message: The image.
+        shutter: What is done to it.
+        index: Number of the image.
+        nanoseconds: Time since the camera's first image.
+        where: What it is, for messages.
+
+    Raises:
+        DataError: It can't be read, or has no 8 or 16 bits; for JPEG, no 8.
+    """
+    if shutter.is_idle:
+        return message
+    is_raw = hasattr(message, "encoding")
+    pixels = image_pixels(message, where) if is_raw else compressed_pixels(message, where)
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise DataError(
+            f"{where}: input.perturb.images takes images of 8 or 16 bits, these are {pixels.dtype}"
+        )
+    colors = pixels[..., :3] if pixels.ndim == 3 else pixels
+    is_red_first = is_raw and message.encoding in _RED_FIRST
+    if is_red_first:
+        colors = colors[..., ::-1]
+    found = shutter.disturbed(np.ascontiguousarray(colors), index, nanoseconds)
+    if is_red_first:
+        found = found[..., ::-1]
+    if found.shape != pixels.shape:
+        found = np.dstack([found, pixels[..., 3:]])
+    found = np.ascontiguousarray(found)
+    return with_pixels(message, found) if is_raw else compressed_anew(message, found)

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Findings in words: what won among groups of runs, who is as good, and at what cost."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from slamhive.analysis.metrics import Metric
+from slamhive.reporting.titles import keys_text
+from slamhive.tables.text import constants, implied
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamhive.analysis.cells import Cell
+    from slamhive.analysis.grouping import Aggregate
+
+NEAR = 1.05
+"""Ratio up to which errors or costs on one recording are called equal: the next one would turn them round."""
+
+_MOST = 3
+
+
+@dataclass(frozen=True)
+class _Rival:
+    """A group of runs that has an error.
+
+    Attributes:
+        name: what it is, in words.
+        error: median, failed runs last.
+        ends: range of the runs' errors; fewer than two where there is one result.
+        told: the error in words.
+        cost: mean; None where unknown.
+    """
+
+    name: str
+    error: float
+    ends: tuple[float, ...]
+    told: str
+    cost: float | None
+
+    def is_near(self, other: _Rival) -> bool:
+        """Tell whether one with a larger error can't be told from this one."""
+        if other.error <= NEAR * self.error:
+            return True
+        return len(self.ends) > 1 and len(other.ends) > 1 and other.ends[0] <= self.ends[1]
+
+
+def conclusion(found: Aggregate, error: str, cost: str) -> list[str]:
+    """Return sentences on what won, on each of the first datasets, and on how far that holds.
+
+    Args:
+        found: groups of runs, one a setting and dataset.
+        error: column among its metrics that is ranked by, small is good.
+        cost: column among them that is paid, small is good.
+    """
+    same = {"dataset", *constants(found, ()), *implied(found, ())}
+    names = [name for name in found.keys if name not in same and name != "algorithm"]
+    datasets: dict[str, list[Cell]] = {}
+    for cell in found.cells:
+        datasets.setdefault(str(cell.keys["dataset"]), []).append(cell)
+    sentences = []
+    for dataset, cells in list(datasets.items())[:_MOST]:
+        rivals = [one for cell in cells if (one := _rival(cell, names, Metric.parse(error), cost))]
+        rivals.sort(key=lambda one: one.error)
+        sentences += _ranked(dataset, rivals, Metric.parse(cost))
+        if rivals and len(rivals) < len(cells):
+            lost = len(cells) - len(rivals)
+            sentences.append(f"{lost} of {len(cells)} settings did not track there in most of their runs.")
+    if len(datasets) > _MOST:
+        sentences.append(f"The table has {len(datasets) - _MOST} more datasets.")
+    elif len(datasets) == 1 and rivals:
+        sentences.append("That is one recording: on another the order may differ.")
+    return sentences
+
+
+def _rival(cell: Cell, names: Sequence[str], error: Metric, cost: str) -> _Rival | None:
+    figure, price = cell.figures[error.column], cell.figures[cost].summary
+    if figure.middle is None or math.isinf(figure.middle):
+        return None
+    settings = keys_text({name: cell.keys[name] for name in names})
+    name = f"{cell.keys['algorithm']} with {settings}" if settings else str(cell.keys["algorithm"])
+    told = f"{error.title.partition(' [')[0]} {error.show(figure.middle)} {error.unit}"
+    return _Rival(name, figure.middle, figure.ends, told, price.mean if price else None)
+
+
+def _ranked(dataset: str, rivals: Sequence[_Rival], cost: Metric) -> list[str]:
+    """Return sentences on the groups of a dataset, which come with the smallest error first."""
+    if not rivals:
+        return [f"On {dataset} nothing won: no setting tracked in most of its runs."]
+    best, others = rivals[0], rivals[1:]
+    if not others:
+        return [f"On {dataset} {best.name} alone tracked: {best.told}."]
+    near = [one for one in others if best.is_near(one)]
+    sentences = [f"On {dataset} {best.name} has the smallest error: {best.told}{_price(best, rivals, cost)}."]
+    if near:
+        listed = ", ".join(f"{one.name} ({one.told})" for one in near[:_MOST])
+        more = f" and {len(near) - _MOST} more" if len(near) > _MOST else ""
+        sentences.append(
+            f"As good, within {100 * (NEAR - 1):.0f} % or the spread of the runs: {listed}{more}."
+        )
+    return sentences
+
+
+def _price(best: _Rival, rivals: Sequence[_Rival], cost: Metric) -> str:
+    """Return the cost of the best beside the least, as the end of a sentence."""
+    known = [(one.cost, one) for one in rivals if one.cost]
+    if not best.cost or not known:
+        return ""
+    word = cost.title.partition(" [")[0]
+    least, cheapest = min(known, key=lambda one: one[0])
+    if best.cost <= NEAR * least:
+        return f", and no other takes less {word}"
+    times = f"{best.cost / least:.2g} times the {word}"
+    return f", for {times} of the cheapest, {cheapest.name} ({cheapest.told})"
