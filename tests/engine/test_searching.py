@@ -23,7 +23,7 @@ def asked(**fields: object) -> Search:
 
 
 def go_through(search: Search, order: random.Random | None = None) -> tuple[dict[int, RunSeen], list[Trial]]:
-    """Run a search whose trial n has the error |n - 12|, results coming in some order."""
+    """Run a search whose trial n has the error |7 n mod 20 - 12|, results coming in some order."""
     runs: dict[int, RunSeen] = {}
     trials: list[Trial] = []
     while True:
@@ -36,19 +36,19 @@ def go_through(search: Search, order: random.Random | None = None) -> tuple[dict
         wanted = decision.wanted
         index = wanted[0] if order is None else order.choice(wanted)
         number, offset = divmod(index, Rows.block)
-        failed = number == 3 or (number == 12 and offset == 5)
+        failed = number == 3 or (number == 16 and offset == 5)
         runs[index] = (
-            RunSeen(has_failed=True) if failed else RunSeen(values=(abs(number - 12) + offset / 10,))
+            RunSeen(has_failed=True) if failed else RunSeen(values=(abs(7 * number % 20 - 12) + offset / 10,))
         )
 
 
 def test_poor_settings_get_few_runs_and_the_best_gets_all() -> None:
     runs, trials = go_through(asked())
     decision = decide_search(asked(), Rows(), trials, runs, 20)
-    assert len(runs) < 20 * Rows.block / 2
-    assert [one.number for one in best_of(decision.standings)] == [11]  # 12 failed once
+    assert len(runs) < 20 * Rows.block * 0.6
+    assert [one.number for one in best_of(decision.standings)] == [13, 19]  # 16, which has the smallest error, failed once
     assert decision.standings[3].dropped == "all of its 1 runs failed"
-    assert decision.standings[19].dropped == "after 1 of 6 runs 12 of 18 were better"
+    assert decision.standings[18].dropped == "after 1 of 6 runs 10 of 18 were better"
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
