@@ -24,6 +24,14 @@ from slamhive.engine.run import (
     classify,
     decide_run,
 )
+from slamhive.engine.searching import (
+    RunSeen,
+    Score,
+    SearchDecision,
+    TrialStanding,
+    best_of,
+    decide_search,
+)
 from slamhive.engine.sweep import (
     PointState,
     StartPoints,
@@ -44,17 +52,23 @@ __all__ = [
     "Prepare",
     "RunAction",
     "RunObserved",
+    "RunSeen",
     "RunState",
+    "Score",
+    "SearchDecision",
     "Start",
     "StartPoints",
     "Stop",
     "StopPoints",
     "SweepDecision",
     "SweepObserved",
+    "TrialStanding",
     "VariantState",
     "Verdict",
+    "best_of",
     "classify",
     "decide_run",
+    "decide_search",
     "decide_sweep",
     "taken_over",
 ]

@@ -9,13 +9,14 @@ from pydantic import Field, model_validator
 
 from slamhive.model.base import Choice, Duration, Model, Resource, Scalar
 from slamhive.model.evaluation import EvaluationSettings
+from slamhive.model.search import Search, SearchMethod
 
 MAX_POINTS = 100_000
 """The most runs that a Sweep may have."""
 
 
 class Range(Model):
-    """Evenly spaced numbers, both ends included where the step meets them."""
+    """Evenly spaced numbers, both ends included where the step meets them; in a search all between them."""
 
     from_: float = Field(alias="from", description="First value.")
     to: float = Field(description="Last value.")
@@ -25,13 +26,18 @@ class Range(Model):
 
     @model_validator(mode="after")
     def _determined(self) -> Self:
-        if (self.step is None) == (self.count is None):
+        if self.step is not None and self.count is not None:
             raise ValueError("give either step or count")
-        if self.scale == "Log" and (self.count is None or self.from_ <= 0 or self.to <= 0):
+        if self.scale == "Log" and (self.step is not None or self.from_ <= 0 or self.to <= 0):
             raise ValueError("the scale Log needs count and ends above zero")
-        if self.step is not None and self.to < self.from_:
+        if self.count is None and self.to < self.from_:
             raise ValueError("to must not be below from")
         return self
+
+    @property
+    def is_continuous(self) -> bool:
+        """Tell whether it holds all numbers between its ends, which only a search can try."""
+        return self.step is None and self.count is None
 
 
 class LabelSelector(Model):
@@ -70,18 +76,6 @@ class Axis(Model):
     def label(self) -> str:
         """Return the axis's name in include and exclude."""
         return self.name or self.path or ""
-
-
-class SearchMethod(Choice):
-    """Methods of choosing points from the matrix of a Sweep."""
-
-    GRID = "Grid"
-
-
-class Search(Model):
-    """Settings for choosing points from the matrix of a Sweep."""
-
-    method: SearchMethod = Field(default=SearchMethod.GRID, description="Grid: every point.")
 
 
 class Budget(Model):
@@ -151,6 +145,26 @@ class SweepSpec(Model):
     retention: Retention = Field(
         default_factory=Retention, description="Finished runs and folders that are kept."
     )
+
+    @model_validator(mode="after")
+    def _fits_search(self) -> Self:
+        search = self.search
+        if not search.is_search:
+            return self
+        if search.method.is_sampled and self.repetitions != 1:
+            raise ValueError(
+                "repetitions: a search has its own, search.repetitions; give them in one place alone"
+            )
+        if self.include:
+            raise ValueError("include: a search adds no points; make them values of an axis")
+        labels = [axis.label for axis in self.matrix]
+        for name in [*(search.across or ()), *([search.axis] if search.axis else [])]:
+            if name not in labels:
+                field = "axis" if search.method is SearchMethod.THRESHOLD else "across"
+                raise ValueError(
+                    f"search.{field}: {name!r} is no label of an axis, these are: {', '.join(labels)}"
+                )
+        return self
 
 
 IMMUTABLE = ("template", "matrix", "include", "exclude", "repetitions", "search")

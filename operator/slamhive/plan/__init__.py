@@ -9,6 +9,7 @@ from slamhive.plan.expansion import Plan, Point
 from slamhive.plan.hashes import algorithm_hash, content_hash, local_uid, run_name, spec_hash
 from slamhive.plan.images import image_digest, pinned_digest
 from slamhive.plan.resolution import resolve
+from slamhive.plan.searching import SearchPlan, SearchSpace
 
 __all__ = [
     "Catalog",
@@ -16,6 +17,8 @@ __all__ = [
     "FixedCatalog",
     "Plan",
     "Point",
+    "SearchPlan",
+    "SearchSpace",
     "algorithm_hash",
     "content_hash",
     "image_digest",

@@ -75,6 +75,7 @@ class Dimension:
         values: coordinate of each step; the point's name on an axis of points.
         settings: fields that each step sets.
         path: the field that all steps set; None on an axis of points.
+        span: the range of which a search tries any number; ``values`` are its ends then.
     """
 
     label: str
@@ -83,6 +84,7 @@ class Dimension:
     values: tuple[Any, ...]
     settings: Sequence[Settings]
     path: Path | None = None
+    span: Range | None = None
 
     @cached_property
     def paths(self) -> frozenset[Path]:
@@ -103,6 +105,8 @@ def spread(span: Range, where: str) -> list[float]:
         InputError: there would be too many numbers, or one for two different ends.
     """
     first, last = (Fraction(repr(float(end))) for end in (span.from_, span.to))
+    if span.is_continuous:
+        raise InputError(f"{where}: give step or count; without them it is for a search alone")
     if span.step is not None:
         width = Fraction(repr(float(span.step)))
         count = int((last - first) / width) + 1
@@ -124,8 +128,17 @@ def spread(span: Range, where: str) -> list[float]:
     return [span.from_, *inner, span.to][:count]
 
 
-def compile_axes(axes: Sequence[Axis], catalog: Catalog, findings: Findings) -> list[Dimension]:
-    """Compile the axes of a matrix; mistakes go to the findings, axes without a right value are left out."""
+def compile_axes(
+    axes: Sequence[Axis], catalog: Catalog, findings: Findings, *, searching: bool = False
+) -> list[Dimension]:
+    """Compile the axes of a matrix; mistakes go to the findings, axes without a right value are left out.
+
+    Args:
+        axes: as they stand in the Sweep.
+        catalog: what selectors choose from.
+        findings: receives the mistakes.
+        searching: whether a range may have neither step nor count, as any number of it may be tried.
+    """
     problems = findings.problems
     dimensions: list[Dimension] = []
     labels: dict[str, str] = {}
@@ -140,7 +153,9 @@ def compile_axes(axes: Sequence[Axis], catalog: Catalog, findings: Findings) -> 
         dimension = None
         with Collected(problems):
             dimension = (
-                _points(axis, where, findings) if axis.points else _steps(axis, where, catalog, findings)
+                _points(axis, where, findings)
+                if axis.points
+                else _steps(axis, where, catalog, findings, searching=searching)
             )
         if dimension is None or not dimension.values:
             findings.lose_axis(axis.label, axis.path)
@@ -168,9 +183,12 @@ def _points(axis: Axis, where: str, findings: Findings) -> Dimension:
     )
 
 
-def _steps(axis: Axis, where: str, catalog: Catalog, findings: Findings) -> Dimension:
+def _steps(axis: Axis, where: str, catalog: Catalog, findings: Findings, *, searching: bool) -> Dimension:
     path = parse_path(axis.path or "", f"{where}.path")
-    values, source = _values(axis, path, where, catalog, findings)
+    span = axis.range if searching and axis.range is not None and axis.range.is_continuous else None
+    values, source = (
+        ([span.from_, span.to], "range") if span else _values(axis, path, where, catalog, findings)
+    )
     seen: set[str] = set()
     plain: list[Any] = []
     settings: list[Any] = []
@@ -190,7 +208,7 @@ def _steps(axis: Axis, where: str, catalog: Catalog, findings: Findings) -> Dime
         plain.append(normalize(value, place))
         settings.append(setting[path] if is_field else setting)
     steps = OneField(path, settings) if is_field else tuple(settings)
-    return Dimension(axis.label, where, source, tuple(plain), steps, path)
+    return Dimension(axis.label, where, source, tuple(plain), steps, path, span)
 
 
 def _values(

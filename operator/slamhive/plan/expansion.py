@@ -18,7 +18,7 @@ from slamhive.plan.assembly import Assembler
 from slamhive.plan.axes import compile_axes
 from slamhive.plan.effects import Reading, recorded
 from slamhive.plan.findings import Findings
-from slamhive.plan.grid import Coordinates, Grid
+from slamhive.plan.grid import Combined, Coordinates, Grid
 from slamhive.plan.hashes import local_uid, run_name
 from slamhive.plan.paths import (
     ALGORITHM,
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from slamhive.model.sweep import Sweep
+    from slamhive.plan.axes import Dimension
     from slamhive.plan.catalog import Catalog
     from slamhive.plan.effects import Effect, Options
     from slamhive.plan.paths import Path
@@ -145,13 +146,19 @@ class Plan:
             strict=True,
             lose=self.findings.lose,
         )
-        dimensions = compile_axes(sweep.spec.matrix, catalog, self.findings)
+        searching = sweep.spec.search.is_search
+        dimensions = compile_axes(sweep.spec.matrix, catalog, self.findings, searching=searching)
         if findings is None:
             self.findings.refuse()
-        self.grid = Grid(dimensions, self.template, sweep.spec.include, sweep.spec.exclude, findings)
+        self.grid = self._combinations(dimensions, findings)
         self.assembler = Assembler(self.template, self.algorithms)
         self._readings: dict[object, Reading | None] = {}
         self._bounded()
+
+    def _combinations(self, dimensions: list[Dimension], findings: Findings | None) -> Combined:
+        """Return the combinations of the axes."""
+        spec = self.sweep.spec
+        return Grid(dimensions, self.template, spec.include, spec.exclude, findings)
 
     def _bounded(self) -> None:
         if len(self) == 0 and not self.findings.lost:

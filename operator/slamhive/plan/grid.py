@@ -19,7 +19,7 @@ import itertools
 import json
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -73,6 +73,25 @@ class _GridEntry:
     def allow(self, axis: int, steps: Sequence[bool]) -> None:
         flags = np.asarray(steps, dtype=bool)
         self.allowed[axis] = self.allowed[axis] & flags if axis in self.allowed else flags
+
+
+class Combined(Protocol):
+    """Combinations of axes by row."""
+
+    dimensions: list[Dimension]
+
+    @property
+    def additions(self) -> list[Addition]:
+        """Return all that is added to steps of axes anywhere, and combinations that are not of steps."""
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+
+    def steps(self, row: int) -> tuple[int, ...] | None:
+        """Return the step on each axis; None for a combination that isn't of steps."""
+
+    def addition(self, row: int) -> Addition:
+        """Return what is added to a row, which for a combination that isn't of steps is all there is."""
 
 
 class Grid:

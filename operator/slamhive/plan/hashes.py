@@ -75,6 +75,8 @@ def content_hash(
 def local_uid(sweep: Sweep) -> str:
     """Return the identity of a Sweep that no server gave one: of its name and what its runs follow from."""
     body = _without_defaults(sweep.spec)
+    # A search that is to try more is the same search.
+    body.get("search", {}).pop("trials", None)
     return digest(
         normalize({"name": sweep.name, "spec": {key: body[key] for key in IMMUTABLE if key in body}})
     )

@@ -173,6 +173,13 @@ def assign(path: Path, value: Any, where: str, *, strict: bool = False) -> Setti
     return result
 
 
+def field_type(path: Path) -> Any:
+    """Return the type of a single field of the spec."""
+    if path[:-1] in _MAPS:
+        return get_args(_FIELDS[path[:-1]].annotation)[1]
+    return _FIELDS[path].annotation
+
+
 def sets_one_field(path: Path) -> bool:
     """Tell whether a value at a path sets that field alone, and not those of an object or a map."""
     return path not in OBJECTS and path not in _MAPS

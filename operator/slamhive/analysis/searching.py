@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of a search as its decisions see them: whether each failed, and its figure for each objective."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from slamhive.analysis.flattening import DOCUMENTS, OF_RUN, Results, columns_of_runs
+from slamhive.analysis.frame import Frame
+from slamhive.engine import RunSeen
+from slamhive.model.errors import InputError
+from slamhive.model.results import Outcome, Phase
+from slamhive.model.search import SearchMethod
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from slamhive.model.results import RunRecord
+    from slamhive.model.search import Search
+
+
+def metrics_of(search: Search) -> list[str]:
+    """Return the columns that a search decides by: those of its objectives, or of its failing rule."""
+    if search.method is SearchMethod.THRESHOLD:
+        return [search.failing.metric] if search.failing.metric else []
+    return [objective.metric for objective in search.objectives]
+
+
+def runs_seen(records: Mapping[int, RunRecord], search: Search) -> dict[int, RunSeen]:
+    """Return finished runs as the decisions of a search see them, by index.
+
+    Args:
+        records: the runs by index; of several results of a run the first one counts.
+        search: what is asked.
+
+    Raises:
+        InputError: an objective has a value that is no number.
+    """
+    indices = list(records)
+    frame = records_frame([records[index] for index in indices])
+    metrics = metrics_of(search)
+    columns = {name: frame.column(name).tolist() if frame.has(name) else [] for name in metrics}
+    places = {int(row): place for place, row in reversed(list(enumerate(frame.column("id").tolist())))}
+    return {
+        index: _seen(records[index], search, [_number(columns[name], places[row], name) for name in metrics])
+        for row, index in enumerate(indices)
+    }
+
+
+def records_frame(records: Sequence[RunRecord]) -> Frame:
+    """Return a table of records, under the names that results have everywhere."""
+    fields = {*OF_RUN.values(), *(document for _, document, _ in DOCUMENTS), "evaluations"}
+    plain = [record.model_dump(mode="json", by_alias=True) for record in records]
+    runs: dict[str, Sequence[Any]] = {"id": range(len(records)), "labels": [one["labels"] for one in plain]}
+    special = {
+        "point": [record.index for record in records],
+        "algorithm": [record.spec["algorithmRef"]["name"] for record in records],
+        "dataset": [record.spec["datasetRef"]["name"] for record in records],
+        "evaluations": [() for _ in records],
+    }
+    for name in sorted(fields - {"id", "labels"}):
+        if name in special:
+            runs[name] = special[name]
+        elif plain and name in plain[0]:
+            runs[name] = [one[name] for one in plain]
+        elif name in {"sensors", "repetition", "seed"}:
+            runs[name] = [record.spec.get(name) for record in records]
+    results = [(place, result) for place, record in enumerate(records) for result in record.results[:1]]
+    return Frame(*columns_of_runs(runs, Results.of(results)))
+
+
+def _number(values: Sequence[Any], place: int, name: str) -> float | None:
+    value = values[place] if values else None
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"search: {name} is {value!r} in a run, an objective needs numbers")
+    return float(value)
+
+
+def _seen(record: RunRecord, search: Search, values: Sequence[float | None]) -> RunSeen:
+    if record.phase is not Phase.SUCCEEDED:
+        blameless = record.reason is not None and record.reason.is_infrastructure
+        return RunSeen(has_failed=not blameless and record.phase is Phase.FAILED)
+    outcome = record.results[0].outcome if record.results else None
+    if search.method is SearchMethod.THRESHOLD:
+        return _seen_for_threshold(search, outcome, values)
+    if outcome is not None and outcome is not Outcome.TRACKED:
+        return RunSeen(has_failed=True)
+    known = [value for value in values if value is not None]
+    return RunSeen(values=tuple(known) if len(known) == len(values) else None)
+
+
+def _seen_for_threshold(search: Search, outcome: Outcome | None, values: Sequence[float | None]) -> RunSeen:
+    rule = search.failing
+    if rule.metric is None:
+        bad = rule.outcome or [one for one in Outcome if one is not Outcome.TRACKED]
+        return RunSeen() if outcome is None else RunSeen(has_failed=outcome in bad, values=())
+    value = values[0]
+    if value is None:  # a lost run has no error
+        lost = outcome is not None and outcome is not Outcome.TRACKED
+        return RunSeen(has_failed=lost)
+    over = rule.above is not None and value > rule.above
+    under = rule.below is not None and value < rule.below
+    return RunSeen(has_failed=over or under, values=(value,))

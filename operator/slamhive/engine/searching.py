@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""State machine of a search: which runs of which settings are wanted, and whether another one is proposed.
+
+``decide_search`` is pure and follows from results alone, never from the order in which they came, so that a
+search that was killed goes on as if it had not been, on a workstation as on a cluster.
+
+A setting's runs are done in steps: at first those that every setting gets, on the first dataset; then, of one
+in ``keep`` settings, ``keep`` times as many, and so on to all. A setting is compared with those that were
+proposed before it, at the same step and so on the same runs. A further setting is proposed when all but the
+last ``atATime`` are decided, and by the results of just these.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
+
+from slamhive.model.search import Aggregate, Goal
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from slamhive.model.search import Search, Trial
+
+
+@dataclass(frozen=True)
+class RunSeen:
+    """End of a run of a search.
+
+    Attributes:
+        has_failed: whether its program failed, or it lost track: the worst there is, and never missing.
+        values: its figure for each objective, or for the failing rule; None where the machine or the
+            measuring failed, so that nothing is known.
+    """
+
+    has_failed: bool = False
+    values: tuple[float, ...] | None = None
+
+    @property
+    def is_known(self) -> bool:
+        """Tell whether the run says anything about its setting."""
+        return self.has_failed or self.values is not None
+
+
+class Layout(Protocol):
+    """Numbers of the runs of each setting."""
+
+    @property
+    def contexts(self) -> Sequence[object]:
+        """Return what each setting is run on."""
+
+    @property
+    def repetitions(self) -> int:
+        """Return how often at most on each."""
+
+    @property
+    def block(self) -> int:
+        """Return the number of runs that a setting can have."""
+
+
+@dataclass(frozen=True, order=True)
+class Score:
+    """Figures of a setting, to be made small; fewer failures come before all else.
+
+    Attributes:
+        failed: share of its runs that failed.
+        values: a figure for each objective, its sign turned where large is good; infinite where all failed.
+    """
+
+    failed: float
+    values: tuple[float, ...]
+
+    def dominates(self, other: Score) -> bool:
+        """Tell whether this one is better in something and worse in nothing."""
+        if self.failed != other.failed:
+            return self.failed < other.failed
+        pairs = list(zip(self.values, other.values, strict=True))
+        return all(own <= theirs for own, theirs in pairs) and any(own < theirs for own, theirs in pairs)
+
+
+@dataclass
+class TrialStanding:
+    """Standing of a trial.
+
+    Attributes:
+        number: its place.
+        scores: its figures after each step.
+        runs: how many of its runs they are of.
+        dropped: why it gets no further runs; None while it does, or when it has all.
+        is_complete: whether all its runs are done.
+    """
+
+    number: int
+    scores: list[Score] = field(default_factory=list)
+    runs: int = 0
+    dropped: str | None = None
+    is_complete: bool = False
+
+    @property
+    def is_decided(self) -> bool:
+        """Tell whether it gets no further runs."""
+        return self.is_complete or self.dropped is not None
+
+    @property
+    def score(self) -> Score | None:
+        """Return its figures of as many of its runs as were compared."""
+        return self.scores[-1] if self.scores else None
+
+
+@dataclass(frozen=True)
+class SearchDecision:
+    """Decision on a search.
+
+    Attributes:
+        wanted: indices of runs that are to be done, in the order in which they start.
+        draws: settings that are to be tried next and that follow from results alone.
+        told: the next setting is to be asked of the sampler, which is told the results of all trials below
+            this number; None: not now.
+        standings: where each trial stands.
+        is_over: whether nothing more is wanted or proposed.
+        message: a sentence on how it ended.
+    """
+
+    wanted: tuple[int, ...]
+    draws: tuple[Trial, ...] = ()
+    told: int | None = None
+    standings: tuple[TrialStanding, ...] = ()
+    is_over: bool = False
+    message: str = ""
+
+
+def decide_search(
+    search: Search, layout: Layout, trials: Sequence[Trial], runs: Mapping[int, RunSeen], most: int
+) -> SearchDecision:
+    """Decide what a search by a sampler does next.
+
+    Args:
+        search: its settings.
+        layout: which runs a setting has.
+        trials: the settings so far, by number.
+        runs: the runs that have ended, by index.
+        most: trials at most.
+    """
+    steps, order = _steps(search, layout), _order(search, layout)
+    standings = [TrialStanding(number) for number in range(len(trials))]
+    wanted: list[int] = []
+    for step, size in enumerate(steps):
+        # One after another, so that each is compared with those before it, whichever ended first.
+        compared: list[TrialStanding] | None = []
+        for standing in standings:
+            if standing.is_decided or len(standing.scores) < step:
+                compared = None if not standing.is_decided else compared
+                continue
+            indices = [standing.number * layout.block + offset for offset in order[:size]]
+            missing = [index for index in indices if index not in runs]
+            if missing:
+                wanted += missing
+                compared = None
+                continue
+            if compared is None:
+                continue
+            _compare(search, layout, standing, [runs.get(index) for index in indices], compared)
+            compared.append(standing)
+            standing.is_complete = size == layout.block and standing.dropped is None
+    decided = next((one.number for one in standings if not one.is_decided), len(standings))
+    may_ask = len(trials) < most and len(trials) - decided < search.at_a_time
+    told = max(0, len(trials) + 1 - search.at_a_time) if may_ask else None
+    is_over = not wanted and told is None and decided == len(trials)
+    wanted.sort(key=lambda index: (index // layout.block, order.index(index % layout.block)))
+    message = _ended(standings) if is_over else ""
+    return SearchDecision(tuple(wanted), (), told, tuple(standings), is_over, message)
+
+
+def _compare(
+    search: Search,
+    layout: Layout,
+    standing: TrialStanding,
+    seen: Sequence[RunSeen | None],
+    compared: Sequence[TrialStanding],
+) -> None:
+    """Judge a setting after a step: it goes on, or is dropped with a word why."""
+    known = [run for run in seen if run is not None and run.is_known]
+    standing.runs = len(seen)
+    if not known:
+        standing.dropped = "nothing is known of its runs: the machine failed, or the measuring"
+        return
+    score = _score(search, layout, seen)
+    standing.scores.append(score)
+    if len(seen) == layout.block:
+        return
+    if score.failed == 1:
+        standing.dropped = f"all of its {len(seen)} runs failed"
+        return
+    others = [
+        one.scores[len(standing.scores) - 1] for one in compared if len(one.scores) >= len(standing.scores)
+    ]
+    better = sum(other.dominates(score) for other in others)
+    if better >= math.ceil((len(others) + 1) / search.keep):
+        standing.dropped = f"after {len(seen)} of {layout.block} runs {better} of {len(others)} were better"
+
+
+def _score(search: Search, layout: Layout, seen: Sequence[RunSeen | None]) -> Score:
+    """Return the figures of a setting: means over its repetitions, then over contexts their mean or worst.
+
+    Runs of which nothing is known are left out; failed ones count in the share alone.
+    """
+    order = _order(search, layout)
+    by_context: dict[int, list[tuple[float, ...]]] = {}
+    failed = known = 0
+    for offset, run in zip(order, seen, strict=False):
+        if run is None or not run.is_known:
+            continue
+        known += 1
+        failed += run.has_failed
+        if not run.has_failed and run.values is not None:
+            by_context.setdefault(offset // layout.repetitions, []).append(run.values)
+    values = []
+    for number, objective in enumerate(search.objectives):
+        sign = -1 if objective.goal is Goal.MAXIMIZE else 1
+        means = [sign * math.fsum(one[number] for one in found) / len(found) for found in by_context.values()]
+        worst = search.aggregate is Aggregate.WORST
+        values.append((max(means) if worst else math.fsum(means) / len(means)) if means else math.inf)
+    return Score(failed / known, tuple(values))
+
+
+def _order(search: Search, layout: Layout) -> list[int]:
+    """Return the places of a setting's runs in the order in which they are done.
+
+    The first repetitions come on each context in turn, then one repetition more on all of them, and so on.
+    """
+    first, contexts = search.repetitions.first, range(len(layout.contexts))
+    begin = [context * layout.repetitions + repetition for context in contexts for repetition in range(first)]
+    rest = [
+        context * layout.repetitions + repetition
+        for repetition in range(first, layout.repetitions)
+        for context in contexts
+    ]
+    return begin + rest
+
+
+def _steps(search: Search, layout: Layout) -> list[int]:
+    """Return how many of its runs a setting has had after each step."""
+    return list(_growing(search, layout))
+
+
+def _growing(search: Search, layout: Layout) -> Iterator[int]:
+    if search.keep == 1:  # nothing is dropped
+        yield layout.block
+        return
+    size = min(search.repetitions.first, layout.block)
+    while size < layout.block:
+        yield size
+        size = min(layout.block, size * search.keep)
+    yield layout.block
+
+
+def best_of(standings: Sequence[TrialStanding]) -> list[TrialStanding]:
+    """Return the trials with all their runs that no other one dominates, the best of one objective first."""
+    complete = [
+        one for one in standings if one.is_complete and one.score is not None and one.score.failed < 1
+    ]
+    front = [
+        one
+        for one in complete
+        if not any(other.score.dominates(one.score) for other in complete if other.score and one.score)
+    ]
+    return sorted(front, key=lambda one: (one.score.values if one.score else (), one.number))
+
+
+def _ended(standings: Sequence[TrialStanding]) -> str:
+    complete = sum(one.is_complete for one in standings)
+    return f"{len(standings)} settings were tried, {complete} of them with all runs"

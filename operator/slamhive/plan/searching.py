@@ -1,0 +1,364 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plan of a search: runs of the settings that were tried so far, which grows by trials.
+
+Trial ``t`` has ``block`` runs, with the indices from ``t × block``: repetition ``r`` on context ``c`` is
+``t × block + c × repetitions + r``. A context is a combination of the axes that the search goes across, such
+as the datasets. So an index says which run it is however many trials there will be.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, get_args
+
+from slamhive.model.algorithm import ParameterType
+from slamhive.model.canonical import normalize
+from slamhive.model.errors import InputError
+from slamhive.model.search import MAX_TRIALS, SearchMethod, Trial
+from slamhive.model.sweep import MAX_POINTS
+from slamhive.plan.catalog import FixedCatalog
+from slamhive.plan.expansion import Plan
+from slamhive.plan.grid import Addition, Grid
+from slamhive.plan.paths import ALGORITHM, DATASET, PARAMETERS, SENSORS, assign, field_type
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from slamhive.model.algorithm import Algorithm
+    from slamhive.model.sweep import Sweep
+    from slamhive.plan.axes import Dimension
+    from slamhive.plan.catalog import Catalog
+    from slamhive.plan.findings import Findings
+    from slamhive.plan.paths import Path, Settings
+
+_REFERENCES = {ALGORITHM, DATASET, SENSORS}
+
+
+@dataclass(frozen=True)
+class SearchedAxis:
+    """An axis of which a search tries values.
+
+    Attributes:
+        dimension: the compiled axis.
+        is_integer: whether only whole numbers of its range may be tried.
+    """
+
+    dimension: Dimension
+    is_integer: bool = False
+
+    @property
+    def label(self) -> str:
+        """Return the axis's name."""
+        return self.dimension.label
+
+    @property
+    def is_log(self) -> bool:
+        """Tell whether its range is divided by ratios and not by differences."""
+        return self.dimension.span is not None and self.dimension.span.scale == "Log"
+
+    @property
+    def ends(self) -> tuple[float, float] | None:
+        """Return the ends of its range; None where it has values of which one is chosen."""
+        span = self.dimension.span
+        return None if span is None else (span.from_, span.to)
+
+    @property
+    def size(self) -> int | None:
+        """Return the number of its values; None where any number of a range may be tried."""
+        ends = self.ends
+        if ends is None:
+            return len(self.dimension.values)
+        return int(math.floor(ends[1]) - math.ceil(ends[0])) + 1 if self.is_integer else None
+
+    @property
+    def numbers(self) -> list[float] | None:
+        """Return its values where all are numbers, in their order; None otherwise."""
+        values = self.dimension.values
+        plain = all(isinstance(one, int | float) and not isinstance(one, bool) for one in values)
+        return None if self.ends is not None or not plain else list(values)
+
+    def settings(self, value: Any) -> Settings:
+        """Return the fields that a value sets.
+
+        Raises:
+            InputError: it is no value of the axis.
+        """
+        if self.dimension.span is None:
+            return dict(self.dimension.settings[self.step(value)])
+        ends = self.ends or (value, value)
+        if not ends[0] <= value <= ends[1]:
+            raise InputError(f"{self.dimension.where}: {value!r} is outside of {ends[0]:g} to {ends[1]:g}")
+        return assign(self.dimension.path or (), value, self.dimension.where)
+
+    def step(self, value: Any) -> int:
+        """Return the place of a value among those that it has.
+
+        Raises:
+            InputError: it is no value of the axis.
+        """
+        try:
+            return self._places[_key(value)]
+        except KeyError:
+            raise InputError(f"{self.dimension.where}: {value!r} is no value of {self.label}") from None
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {_key(value): step for step, value in enumerate(self.dimension.values)}
+
+
+def _key(value: Any) -> str:
+    return json.dumps(normalize(value), sort_keys=True)
+
+
+class SearchSpace:
+    """Settings that a search may try, and the contexts that each is run in.
+
+    Args:
+        sweep: the Sweep.
+        dimensions: its compiled axes.
+        template: fields that its template sets.
+        algorithms: Algorithms by name.
+
+    Attributes:
+        axes: the searched axes, in the order of the matrix.
+        contexts: coordinates and fields of each context; one that sets nothing where there are none.
+        repetitions: runs of a setting in each context at most.
+
+    Raises:
+        InputError: an axis can't be searched, or ``exclude`` names one that is.
+    """
+
+    def __init__(
+        self,
+        sweep: Sweep,
+        dimensions: Sequence[Dimension],
+        template: Settings,
+        algorithms: Mapping[str, Algorithm],
+    ) -> None:
+        search = sweep.spec.search
+        self.is_threshold = search.method is SearchMethod.THRESHOLD
+        labels = [axis.label for axis in dimensions]
+        across = [name for name in search.across or () if name in labels]
+        if search.across is None and not self.is_threshold:
+            across = [axis.label for axis in dimensions if axis.path == DATASET]
+        over = [axis for axis in dimensions if axis.label in across]
+        searched = [axis for axis in dimensions if axis.label not in across]
+        for axis in over:
+            if axis.span is not None:
+                raise InputError(
+                    f"{axis.where}.range: give step or count, as each setting is run on all of them"
+                )
+        excluded = [label for entry in sweep.spec.exclude for label in entry if label not in across]
+        if excluded:
+            raise InputError(
+                f"spec.exclude: a search goes across {', '.join(across) or 'no axis'}, only such can be "
+                f"excluded, found {excluded[0]}"
+            )
+        grid = Grid(over, template, [], sweep.spec.exclude)
+        self.contexts: list[Addition] = [
+            _combined(
+                [
+                    (axis.label, axis.values[step], axis.settings[step])
+                    for axis, step in zip(over, steps, strict=True)
+                ]
+            )
+            for row in range(len(grid))
+            for steps in [grid.steps(row) or ()]
+        ]
+        self.axes = [SearchedAxis(axis, _is_integer(axis, algorithms)) for axis in searched]
+        if not self.axes:
+            raise InputError("spec.matrix: no axis is left to search; it has none but those in search.across")
+        alone = [one.dimension.where for one in self.axes if one.size == 1]
+        if alone and not self.is_threshold:
+            raise InputError(f"{alone[0]}: has one value, so nothing to search; set it in the template")
+        self.repetitions = sweep.spec.repetitions if self.is_threshold else search.repetitions.promote
+
+    @property
+    def block(self) -> int:
+        """Return the number of runs that a setting can have."""
+        return len(self.contexts) * self.repetitions
+
+    @property
+    def size(self) -> int | None:
+        """Return the number of settings; None where there is no end of them."""
+        sizes = [axis.size for axis in self.axes]
+        return None if None in sizes else math.prod(size for size in sizes if size is not None)
+
+    def setting(self, values: Sequence[Any]) -> Addition:
+        """Return coordinates and fields of a setting.
+
+        Raises:
+            InputError: a value isn't of its axis.
+        """
+        return _combined(
+            [(axis.label, value, axis.settings(value)) for axis, value in zip(self.axes, values, strict=True)]
+        )
+
+    def key(self, values: Sequence[Any]) -> str:
+        """Return a text that is equal for equal settings."""
+        return _key(list(values))
+
+    def probes(self) -> list[Trial]:
+        """Return settings that have each value of each axis, and each end: what is checked before all.
+
+        Algorithms, datasets and modes are combined with each other; else one axis at a time is changed.
+        """
+        first = [axis.dimension.values[0] for axis in self.axes]
+        named = [number for number, axis in enumerate(self.axes) if axis.dimension.path in _REFERENCES]
+        found: dict[str, list[Any]] = {}
+        for chosen in itertools.product(*(self.axes[number].dimension.values for number in named)):
+            base = list(first)
+            for number, value in zip(named, chosen, strict=True):
+                base[number] = value
+            for values in self._changed(base, named):
+                found.setdefault(self.key(values), values)
+        return [Trial(values=values) for values in found.values()]
+
+    def _changed(self, base: list[Any], fixed: Sequence[int]) -> Iterator[list[Any]]:
+        yield base
+        for number, axis in enumerate(self.axes):
+            for value in () if number in fixed else axis.dimension.values[1:]:
+                yield [*base[:number], value, *base[number + 1 :]]
+
+
+def _combined(parts: Sequence[tuple[str, Any, Settings]]) -> Addition:
+    whole = Addition()
+    for label, value, settings in parts:
+        whole = whole.then(Addition({label: value}, dict(settings)))
+    return whole
+
+
+def _is_integer(axis: Dimension, algorithms: Mapping[str, Algorithm]) -> bool:
+    """Tell whether the field that an axis sets takes whole numbers alone."""
+    if axis.span is None or axis.path is None:
+        return False
+    if axis.path[:-1] == PARAMETERS:
+        declared = [one.spec.parameters.get(axis.path[-1]) for one in algorithms.values()]
+        return any(one is not None and one.type is ParameterType.INTEGER for one in declared)
+    found = field_type(axis.path)
+    return int in (get_args(found) or (found,)) and float not in get_args(found)
+
+
+class Drawn:
+    """Combinations of a search: each trial in each context.
+
+    Args:
+        dimensions: all compiled axes.
+        space: what can be tried.
+    """
+
+    def __init__(self, dimensions: list[Dimension], space: SearchSpace) -> None:
+        self.dimensions = dimensions
+        self._space = space
+        self._rows: list[Addition] = []
+
+    def draw(self, trial: Trial) -> None:
+        """Add the rows of a trial."""
+        setting = self._space.setting(trial.values)
+        self._rows += [setting.then(context) for context in self._space.contexts]
+
+    @property
+    def additions(self) -> list[Addition]:
+        """Return all rows."""
+        return self._rows
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def steps(self, row: int) -> tuple[int, ...] | None:  # noqa: ARG002
+        """Return None: no row is of steps."""
+        return None
+
+    def addition(self, row: int) -> Addition:
+        """Return a row's coordinates and fields."""
+        return self._rows[row]
+
+
+class SearchPlan(Plan):
+    """The runs of a search: those of the trials so far.
+
+    Args:
+        sweep: the Sweep.
+        catalog: Algorithms and Datasets.
+        trials: what was tried before, as it was written down.
+        strict, uid, findings: as of a Plan.
+
+    Attributes:
+        space: what can be tried.
+        trials: what was tried, by number.
+
+    Raises:
+        InputError: the Sweep is wrong, or a trial doesn't fit it.
+    """
+
+    def __init__(
+        self,
+        sweep: Sweep,
+        catalog: Catalog,
+        trials: Sequence[Trial] = (),
+        *,
+        strict: bool = True,
+        uid: str | None = None,
+        findings: Findings | None = None,
+    ) -> None:
+        self.trials: list[Trial] = []
+        super().__init__(sweep, catalog, strict=strict, uid=uid, findings=findings)
+        self.repetitions = self.space.repetitions
+        most = self.most_trials
+        if most * self.space.block > MAX_POINTS:
+            raise InputError(
+                f"spec.search.trials: {most} settings × {self.space.block} runs = {most * self.space.block} "
+                f"runs, at most {MAX_POINTS} are allowed"
+            )
+        for trial in trials:
+            self.draw(trial)
+
+    def _combinations(self, dimensions: list[Dimension], findings: Findings | None) -> Drawn:  # noqa: ARG002
+        self.space = SearchSpace(self.sweep, dimensions, self.template, self.algorithms)
+        self._drawn = Drawn(dimensions, self.space)
+        return self._drawn
+
+    def _bounded(self) -> None:
+        """Check nothing: how many runs there may be is known when the space is."""
+
+    @property
+    def most_trials(self) -> int:
+        """Return the number of trials at most: as many as asked for, or as there are settings."""
+        asked = self.sweep.spec.search.trials or min(MAX_TRIALS, MAX_POINTS // self.space.block)
+        return min(asked, self.space.size or asked)
+
+    @property
+    def twins(self) -> dict[int, int]:
+        """Return nothing: no setting is tried twice, and equal results are taken over."""
+        return {}
+
+    def _names(self, path: Path) -> list[str]:
+        """Return all that it may run, tried or not."""
+        steps = [step for axis in self.space.axes for step in axis.dimension.settings]
+        steps += [context.settings for context in self.space.contexts]
+        found = [step[path] for step in steps if step.get(path) is not None]
+        return list(dict.fromkeys(found)) or [name for name in [self.assembler.value({}, path)] if name]
+
+    def draw(self, trial: Trial) -> None:
+        """Add a trial; its runs are the last ones of the plan from now on.
+
+        Raises:
+            InputError: its values aren't of the axes.
+        """
+        self._drawn.draw(trial)
+        self.trials.append(trial)
+
+    def probing(self) -> SearchPlan:
+        """Return the plan of the settings that tell what of the Sweep is wrong before anything runs."""
+        return SearchPlan(
+            self.sweep,
+            FixedCatalog(self.algorithms, self.datasets),
+            self.space.probes(),
+            strict=self.strict,
+            uid=self.uid,
+            findings=self.findings,
+        )
