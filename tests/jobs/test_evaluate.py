@@ -382,6 +382,57 @@ def test_what_lies_beside_a_trajectory_costs_no_result(pod: Any, walked: str, sp
     assert beside["message"].startswith(why)
 
 
+def test_what_a_system_said_of_itself_is_measured(pod: Any, walked: str) -> None:
+    """It stands still for five seconds, and warned half a second before."""
+    lines = walked.splitlines()
+    rows = [line.split() for line in lines]
+    stood = [
+        " ".join((row[0], *rows[100][1:])) if 100 <= k < 150 else line
+        for k, (row, line) in enumerate(zip(rows, lines, strict=True))
+    ]
+    run = put_run(pod, 1, "\n".join(stood))
+    [alone] = evaluate(pod, [run])
+    folder = Path(pod.root, "results", run["folder"], "output")
+    flags = ["lost" if 96 <= k < 150 else "ok" for k in range(len(rows))]
+    said = [f"{row[0]},{k},{flag}" for k, (row, flag) in enumerate(zip(rows, flags, strict=True))]
+    (folder / "health.csv").write_text("\n".join(["stamp,value,flag", *said]))
+    (folder / "covariances.csv").write_text(
+        "\n".join(["stamp,cov_xx,cov_yy,cov_zz", *(f"{row[0]},1e-2,1e-2,1e-2" for row in rows)])
+    )
+    [record] = evaluate(pod, [run])
+    values = record["result"]["values"]
+    health, losses, warnings = (values.pop(name) for name in ("health", "healthLosses", "healthWarnings"))
+    assert values.pop("notes")[-1].startswith("its own health: lost once, ")
+    alone["result"]["values"].pop("notes")
+    assert record["result"] == alone["result"]
+    assert (len(losses), len(warnings), health["of"]) == (1, 1, "final")
+    assert 0.3 < health["warning"]["lead"] < 1.5
+    assert health["nees"]["position"]["count"] == len(rows)
+    shutil.copy(folder / "trajectory.txt", folder / "trajectory.online.txt")
+    [record] = evaluate(pod, [run])
+    assert record["result"]["values"]["health"] == health | {"of": "online"}
+
+
+@pytest.mark.parametrize(
+    ("spoil", "why"),
+    [
+        (lambda path: path.symlink_to("/etc/passwd"), "output/health.csv: is no regular file"),
+        (lambda path: path.write_text("stamp,flag\n1,no\n"), "output/health.csv, line 2: flag is 'no'"),
+        (lambda path: path.write_bytes(b"\x1f\x8b\x08"), "output/health.csv is compressed; it must"),
+        (
+            lambda path: (path.touch(), os.truncate(path, 65 << 20)),
+            "output/health.csv is larger than 64 MiB",
+        ),
+    ],
+)
+def test_health_that_is_wrong_costs_no_result(pod: Any, walked: str, spoil: Any, why: str) -> None:
+    run = put_run(pod, 1, walked)
+    spoil(Path(pod.root, "results", run["folder"], "output", "health.csv"))
+    [record] = evaluate(pod, [run])
+    assert record["result"]["outcome"] == "Tracked"
+    assert record["result"]["values"]["health"]["message"].startswith(why)
+
+
 @pytest.mark.parametrize("processes", ["1", "2"])
 def test_a_greedy_run_is_refused_its_memory(pod: Any, walked: str, processes: str) -> None:
     pose = "1 0 0 0 0 0 0 1\n"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from slamhive_eval.commands import measuring, output
 from slamhive_eval.errors import OptionError
 from slamhive_eval.formats.healthfiles import COVARIANCES, HEALTH, read_covariances, read_health
-from slamhive_eval.measures.health import HealthRule, evaluate_health
+from slamhive_eval.measures.health import HealthRule, describe, evaluate_health
 from slamhive_eval.measures.losses import LossRule
 
 if TYPE_CHECKING:
@@ -92,8 +92,8 @@ def _beside(asked: argparse.Namespace, name: str) -> Path | None:
 
 
 def _show(result: dict[str, Any]) -> str:
-    found, losses = result["health"], result["healthLosses"]
-    lines = [] if "rows" not in found else [_said(found)]
+    found, losses = result["health"], result.get("healthLosses", [])
+    lines = [f"{result['estimate']}: {describe(found)}"] if describe(found) else []
     for loss in losses:
         lead = "missed" if loss["lead"] is None else f"warned {_when(loss['lead'])}"
         if "warning" in found:
@@ -113,16 +113,10 @@ def _show(result: dict[str, Any]) -> str:
             lines.append(f"NEES of {part}: no covariance has an inverse")
             continue
         lines.append(
-            f"NEES of {part}: mean {nees['mean']:.4g} of {nees['count']} poses, in 95 % of cases "
-            f"{nees['low']:.4g} to {nees['high']:.4g}; {nees['within95']:.1%} of poses within 95 %"
+            f"NEES of {part}: mean {measuring.number(nees['mean'])} of {nees['count']} poses, in 95 % of "
+            f"cases {nees['low']:.4g} to {nees['high']:.4g}; {nees['within95']:.1%} of poses within 95 %"
         )
     return "\n".join(lines)
-
-
-def _said(found: dict[str, Any]) -> str:
-    times = {1: "once", 2: "twice"}.get(found["losses"], f"{found['losses']} times")
-    lost = f"lost {times}, {found['lostSeconds']:.3f} s" if found["losses"] else "never lost"
-    return f"{lost} of {found['seconds']:.3f} s that can be judged, {found['rows']} rows of confidence"
 
 
 def _when(lead: float) -> str:

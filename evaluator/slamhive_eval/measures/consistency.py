@@ -77,7 +77,8 @@ class Consistency:
             "withoutCovariance": int(np.count_nonzero(~self.used)),
         }
         if self.bounds is not None:
-            told["mean"] = float(np.mean(self.nees))
+            mean = float(np.mean(self.nees))
+            told["mean"] = mean if math.isfinite(mean) else None
             told["low"], told["high"] = self.bounds
             told["within95"] = float(np.mean(self.nees <= CHI_SQUARE_95[self.dimensions]))
         return told

@@ -29,6 +29,8 @@ from slamhive_eval.measures.losses import LocalErrors, LossRule, local_errors, s
 from slamhive_eval.preparing import lay, set_clock
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     import numpy.typing as npt
 
     from slamhive_eval.formats.healthfiles import Confidence
@@ -40,8 +42,8 @@ if TYPE_CHECKING:
 
 HOLD_SECONDS = 1.0
 """What a system said longer ago than this holds no more."""
-MOST_LOSSES = 100
-"""Losses that are told one by one."""
+MOST_TOLD = 100
+"""Losses, and warnings, that are told one by one."""
 SAME_STAMP_SECONDS = 1e-3
 """A covariance belongs to the pose whose stamp differs by at most this."""
 
@@ -90,6 +92,7 @@ class Awareness:
         seconds: Time that can be judged.
         lost: Of it the time lost.
         losses: Each of them.
+        warnings: Begin and end of each stretch of warnings in s, shape (w, 2).
         warned: Time warned; None where it gave no flag at all.
         cried: Of that the time in which it was wrong to.
         unwarned: Of the time lost that without a warning.
@@ -101,6 +104,7 @@ class Awareness:
     seconds: float
     lost: float
     losses: tuple[ToldLoss, ...]
+    warnings: FloatArray
     warned: float | None = None
     cried: float | None = None
     unwarned: float | None = None
@@ -172,6 +176,7 @@ def measure_health(errors: LocalErrors, said: Confidence, rule: HealthRule | Non
         seconds=time(judged),
         lost=time(lost),
         losses=_told(losses, warnings, float(errors.begin[0])),
+        warnings=warnings,
         warned=time(warned) if flagged else None,
         cried=time(warned & ~lost & ~about_to_be) if flagged else None,
         unwarned=time(lost & ~warned) if flagged else None,
@@ -252,7 +257,8 @@ def evaluate_health(
 
     Returns:
         Plain JSON data: ``health``, the figures, with covariances ``health.nees`` of position and rotation
-        each, of the aligned poses; and ``healthLosses``, the longest losses in the order of time.
+        each, of the aligned poses; ``healthLosses`` and ``healthWarnings``, the longest of them in the order
+        of time.
 
     Raises:
         AssociationError: The clock's offset can't be found.
@@ -273,8 +279,7 @@ def evaluate_health(
     if not len(pairs):
         raise TrajectoryError("no pose has a ground truth beside which it could be judged")
     laid = lay(truth, kept, how)
-    found: dict[str, Any] = {}
-    losses: tuple[ToldLoss, ...] = ()
+    told: dict[str, Any] = {"health": {}}
     if said is not None:
         if clock is not None:
             said = replace(said, stamps=clock.corrected(said.stamps))
@@ -283,12 +288,43 @@ def evaluate_health(
             reference, estimate, pairs, laid, keyframes=keyframes, window=window, maps=maps, rule=rule.loss
         )
         measured = measure_health(errors, said.shifted(how.offset_seconds), rule)
-        found, losses = measured.as_dict(), measured.losses
+        told["health"] = measured.as_dict()
+        told["healthLosses"] = _longest([one.as_dict() for one in measured.losses])
+        warnings = [{"begin": begin, "end": end} for begin, end in measured.warnings.tolist()]
+        told["healthWarnings"] = _longest(warnings)
     if estimate.covariances is not None:
-        found["nees"] = _nees(laid)
-    longest = sorted(losses, key=lambda one: one.begin - one.end)[:MOST_LOSSES]
-    told = sorted(longest, key=lambda one: one.begin)
-    return {"health": found, "healthLosses": [one.as_dict() for one in told]}
+        told["health"]["nees"] = _nees(laid)
+    return told
+
+
+def describe(found: Mapping[str, Any]) -> str:
+    """Say in a sentence what the figures of ``health`` are; empty where nothing was said of confidence."""
+    if "rows" not in found:
+        return ""
+    times = {1: "once", 2: "twice"}.get(found["losses"], f"{found['losses']} times")
+    lost = f"lost {times}, {found['lostSeconds']:.1f} s" if found["losses"] else "never lost"
+    parts = [f"{lost} of {found['seconds']:.1f} s"]
+    warning = found.get("warning")
+    if warning is None:
+        parts.append("it gave no flags")
+    elif not warning["seconds"]:
+        parts.append("it never warned")
+    else:
+        lead = warning["lead"]
+        if lead is not None:
+            when = f"{lead:.1f} s before" if lead >= 0 else f"{-lead:.1f} s too late"
+            parts.append(f"it warned {when}{'' if warning['losses'] == 1 else ' on average'}")
+        parts.append(f"{found['false']['share']:.0%} of {warning['seconds']:.1f} s warned were false")
+    if warning is not None and found["missed"]["losses"]:
+        parts.append(f"{found['missed']['losses']} not warned of")
+    if found["auc"] is not None:
+        parts.append(f"AUC of its values {found['auc']:.2f}")
+    return "its own health: " + "; ".join(parts)
+
+
+def _longest(times: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    longest = sorted(times, key=lambda one: one["begin"] - one["end"])[:MOST_TOLD]
+    return sorted(longest, key=lambda one: float(one["begin"]))
 
 
 def _beside(estimate: Trajectory, stamps: FloatArray, covariances: FloatArray) -> FloatArray:
