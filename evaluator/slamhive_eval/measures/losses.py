@@ -2,7 +2,8 @@
 """Losses: when an estimate was lost, by what it did over the last second, whatever it had drifted before.
 
 At a pose the *local error* is the relative pose error (Sturm et al. 2012, equations 1 and 2, translation)
-from the last pose that is at least ``window`` seconds older. The estimate is *off* there where that error is
+from the last pose that is at least ``window`` seconds older, less what all poses have in common (a turn
+between the frames of the body, a scale). The estimate is *off* there where that error is
 above ``share`` of the true path between the two poses, and above ``metres``: the rule by which a whole run is
 Diverged, held against a second of it. It is off as well between poses that leave the true path uncovered,
 as `slamhive_eval.measure_coverage` has it, and after the last one. It is *lost* while it is off for at least
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamhive_eval import metrics
+from slamhive_eval import rotation
 from slamhive_eval.coverage import (
     FRAME_STEP_SECONDS,
     KEYFRAME_STEP_SECONDS,
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
     Mask = npt.NDArray[np.bool_]
 
+_ROUNDS, _SETTLED = 20, 1e-9
 _ROUNDING_SECONDS = 1e-6
 """Stamps near 1.6e9 s are exact to less: a window of ten frames must not miss its first by rounding."""
 
@@ -119,8 +121,9 @@ def local_errors(
 ) -> LocalErrors:
     """Local errors of an estimate.
 
-    Nothing but the scale of an alignment with scale bears on them, and that is taken anew, for each map the
-    median over all windows of the true over the estimated distance: a loss doesn't move it.
+    The alignment has no part in them. What would make all of a run lost is taken out: one turn between the
+    frames of the body, by the half of all directions of motion that it fits best; and where the alignment
+    has a scale, for each map the median of the true over the estimated distances. A loss moves neither.
 
     Args:
         reference: Ground truth.
@@ -152,8 +155,7 @@ def local_errors(
     later = np.flatnonzero(older >= 0)
     earlier = older[later]
     errors, bounds = np.full(len(pairs), np.nan), np.full(len(pairs), np.nan)
-    matched = _scaled(laid, np.column_stack((earlier, later)), numbers)
-    errors[later] = metrics.rpe_errors(laid.reference, matched, np.column_stack((earlier, later)))
+    errors[later] = _missed(laid, earlier, later, numbers)
     bounds[later] = np.maximum(rule.share * (path[at[later]] - path[at[earlier]]), rule.metres)
     # What the clock stood still for is a gap of the ground truth, or outside of the run.
     took = reference.stamps[at[later]] - reference.stamps[at[earlier]]
@@ -185,19 +187,31 @@ def _by_keyframes(estimate: Trajectory, keyframes: bool | None) -> bool:
     return is_keyframes(estimate) if keyframes is None else keyframes
 
 
-def _scaled(laid: Prepared, pairs: IndexArray, numbers: IndexArray) -> Trajectory:
-    """The estimate in metres where its alignment has a scale, as it is otherwise."""
-    if laid.alignment.method not in ("sim3", "scale"):
-        return laid.matched
+def _missed(laid: Prepared, i: IndexArray, j: IndexArray, numbers: IndexArray) -> FloatArray:
+    """Relative errors of translation from poses i to j in m, less what all of them have in common."""
     true, own = (
-        np.linalg.norm(one.positions[pairs[:, 1]] - one.positions[pairs[:, 0]], axis=1)
+        rotation.rotate(rotation.conjugate(one.quaternions[i]), one.positions[j] - one.positions[i])
         for one in (laid.reference, laid.matched)
     )
-    moved = (true > MOTION_METRES) & (own > 0)
-    scales = np.ones(len(numbers))
-    for number in np.unique(numbers):
-        inside = moved & (numbers[pairs] == number).all(axis=1)
-        if inside.any():
-            scales[numbers == number] = np.median(true[inside] / own[inside])
-    matched = laid.matched
-    return replace(matched, positions=matched.positions * scales[:, np.newaxis])
+    far, lengths = rotation.vector_norm(true), rotation.vector_norm(own)
+    moved = (far > MOTION_METRES) & (lengths > 0)
+    if laid.alignment.method in ("sim3", "scale"):
+        for number in np.unique(numbers):
+            inside = numbers[i] == number
+            if (inside & moved).any():
+                own[inside] *= np.median((far / np.where(moved, lengths, 1.0))[inside & moved])
+    units = [one[moved] / rotation.vector_norm(one[moved])[:, np.newaxis] for one in (true, own)]
+    turned: FloatArray = own @ _common_turn(*units).T
+    return rotation.vector_norm(turned - true)
+
+
+def _common_turn(true: FloatArray, own: FloatArray) -> FloatArray:
+    """The rotation that turns directions onto others, shape (k, 3) each, by the half that it fits best."""
+    turn, kept = np.eye(3), np.arange(len(true))
+    for _ in range(_ROUNDS if len(true) else 0):
+        before, turn = turn, rotation.nearest_rotation(true[kept].T @ own[kept])
+        if np.abs(turn - before).max() < _SETTLED:
+            break
+        off = rotation.vector_norm(own @ turn.T - true)
+        kept = np.argsort(off, kind="stable")[: len(true) // 2 + 1]
+    return turn
