@@ -3,12 +3,11 @@
 
 At a pose the *local error* is the relative pose error (Sturm et al. 2012, equations 1 and 2, translation)
 from the last pose that is at least ``window`` seconds older, less what all poses have in common (a turn
-between the frames of the body, a scale). The estimate is *off* there where that error is
-above ``share`` of the true path between the two poses, and above ``metres``: the rule by which a whole run is
-Diverged, held against a second of it. It is off as well between poses that leave the true path uncovered,
-as `slamhive_eval.measure_coverage` has it, and after the last one. It is *lost* while it is off for at least
-``lasting`` seconds, breaks of up to a window among them: a single jump, which every window across it sees,
-is over sooner.
+between the frames of the body, a scale). The estimate is *off* there where that error is above ``share`` of
+the true path between the two poses, and above ``metres``. It is off as well between poses that leave the true
+path uncovered, as `slamhive_eval.measure_coverage` has it, and after the last one. It is *lost* while it is
+off for at least ``lasting`` seconds, breaks of up to a window among them: a single jump, which every window
+across it sees, is over sooner.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from slamhive_eval.coverage import (
     is_keyframes,
 )
 from slamhive_eval.errors import OptionError, TrajectoryError
-from slamhive_eval.evaluation import MAX_ATE_SHARE, MIN_POSES, MOTION_METRES
+from slamhive_eval.evaluation import MAX_LOCAL_SHARE, MIN_POSES, MOTION_METRES
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -56,7 +55,7 @@ class LossRule:
     """
 
     window: float = 1.0
-    share: float = MAX_ATE_SHARE
+    share: float = MAX_LOCAL_SHARE
     metres: float = MOTION_METRES
     lasting: float = 2.0
 
