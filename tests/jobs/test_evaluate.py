@@ -69,7 +69,7 @@ def put_run(pod: Any, number: int, estimate: Path | str) -> dict[str, Any]:
     place.mkdir(parents=True)
     data = estimate.encode() if isinstance(estimate, str) else estimate.read_bytes()
     (place / "trajectory.txt").write_bytes(data)
-    for name in ("segments.csv", "trajectory.online.txt", "trajectory.keyframes.txt"):
+    for name in ("segments.csv", "health.csv", "trajectory.online.txt", "trajectory.keyframes.txt"):
         if isinstance(estimate, Path) and estimate.with_name(name).exists():
             shutil.copy(estimate.with_name(name), place)
     return {
@@ -157,6 +157,8 @@ def test_results_are_those_of_the_workstation(  # noqa: PLR0917 - fixtures
     truth, estimate, window = prepare_truth(shared, kind, folder)
     poses = estimate.read_text().splitlines(keepends=True)
     (folder / "trajectory.online.txt").write_text("".join(poses[: len(poses) // 2]))
+    said = [f"{line.split()[0]},{k % 9},{'lost' if k % 40 < 9 else 'ok'}" for k, line in enumerate(poses)]
+    (folder / "health.csv").write_text("\n".join(["stamp,value,flag", *said]))
     (folder / "trajectory.keyframes.txt").write_text("".join(poses[::10]) + "1 2 3\n" * (kind == "Kitti"))
     if mode == "mono":
         truth |= {"frame": "body" if kind in {"ControlPoints", "Table"} else "lidar"}
@@ -196,6 +198,7 @@ def test_results_are_those_of_the_workstation(  # noqa: PLR0917 - fixtures
         close = isinstance(value, float) and found[key] == pytest.approx(value, rel=1e-9, abs=1e-12)
         assert close or found[key] == value, key
     assert kind == "Relations" or wanted[".values.ate.rmse"] > 0
+    assert (".values.health.warning.seconds" in wanted) == (kind in {"Tum", "Euroc", "Kitti"})
     assert (".values.segments[1].map" in wanted) == (kind in {"Tum", "Table"})
     if kind == "ControlPoints":
         assert (

@@ -15,11 +15,14 @@ from slamhive_eval import (
     Trajectory,
     TrajectoryError,
     evaluate_health,
+    read_trajectory,
+    read_tum,
 )
 from slamhive_eval.statistics import chi_square_quantile
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from slamhive_eval.rotation import FloatArray
 
@@ -210,6 +213,21 @@ def test_no_orientations(wander: Callable[..., Trajectory]) -> None:
     bare = Trajectory(truth.stamps, truth.positions, truth.quaternions, oriented=False)
     with pytest.raises(TrajectoryError, match="without orientations"):
         evaluate_health(bare, truth, SE3, said=said(truth))
+
+
+@pytest.mark.parametrize(("number", "losses", "least"), [("052", 0, 0.0), ("063", 1, 60.0)])
+def test_real_runs_are_lost_where_they_have_no_poses(
+    icra2023: Path, number: str, losses: int, least: float
+) -> None:
+    """ORB-SLAM2 and 3, whose poses are a camera's beside ground truth of another frame of the body."""
+    (folder,) = (icra2023 / "runs").glob(f"*{number}")
+    config = (folder / "config.yaml").read_text()
+    (name,) = (one for one in (icra2023 / "groundtruth").iterdir() if one.stem in config)
+    estimate = read_tum(folder / "traj.txt")
+    how = Preparation(alignment="sim3", max_difference_seconds=0.02)
+    health = evaluate_health(read_trajectory(name), estimate, how, said=said(estimate))["health"]
+    assert health["losses"] == losses
+    assert health["lostSeconds"] >= least
 
 
 def test_the_horizon_is_what_makes_an_early_warning_true() -> None:
