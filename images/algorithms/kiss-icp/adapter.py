@@ -19,7 +19,10 @@ def program(run: Run) -> None:
         odometry.register_frame(cloud.points, np.array([]) if cloud.times is None else cloud.times)
         return odometry.last_pose
 
-    register_scans(run, register, run.parameter("deskew"))
+    # By how much its poses have differed from what it expected: the less, the surer it is.
+    register_scans(
+        run, register, run.parameter("deskew"), lambda: -odometry.adaptive_threshold.get_threshold()
+    )
 
 
 if __name__ == "__main__":
