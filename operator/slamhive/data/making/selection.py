@@ -58,6 +58,7 @@ class MessageSelection:
         last: Header stamp of its last frame kept, ns.
         record_window: Record times of the first and last message kept of any sensor, ns.
         changes: By topic, what becomes of a message of a number in the recording, as serialised.
+        later: By topic, what is added to the time of recording of each message, ns, shape (n,).
     """
 
     streams: list[Stream]
@@ -68,6 +69,7 @@ class MessageSelection:
     last: int
     record_window: tuple[int, int]
     changes: Mapping[str, MessageChange] = field(default_factory=dict)
+    later: Mapping[str, npt.NDArray[np.int64]] = field(default_factory=dict)
 
     def frames(self, stream: Stream) -> int:
         """Return the number of messages of a stream that are kept."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Protocol
 
+from slamhive.data.making.delivering import in_order
 from slamhive.data.recordings import kinds
 from slamhive.data.recordings.clouds import cloud_filter, filter_cloud
 from slamhive.data.recordings.images import is_rvl, scale_camera_info, scale_compressed, scale_image
@@ -83,7 +84,7 @@ def transfer(
 def chosen_messages(
     recording: Recording, selection: MessageSelection, progress: Callable[[float], None] | None = None
 ) -> Iterator[tuple[Connection, int, bytes]]:
-    """Yield the messages that were chosen, in the order of the recording.
+    """Yield the messages that were chosen, in the order of their times of recording.
 
     What is perturbed is so here, before anything else is done to a message.
 
@@ -92,10 +93,19 @@ def chosen_messages(
         selection: The messages chosen.
         progress: Called with the share done, 0 to 1.
     """
+    changed = _changed_messages(recording, selection, progress)
+    if not selection.later:
+        return ((connection, time, raw) for connection, time, _, raw in changed)
+    return in_order(changed, min(0, *(int(added.min()) for added in selection.later.values())))
+
+
+def _changed_messages(
+    recording: Recording, selection: MessageSelection, progress: Callable[[float], None] | None
+) -> Iterator[tuple[Connection, int, int, bytes]]:
+    """Yield connection, time of recording, what is added to it (ns), and bytes of what was chosen."""
     seen = {stream.topic: 0 for stream in selection.streams}
     total, done = max(selection.size_bytes, 1), 0
-    for number, message in enumerate(recording.messages(set(seen))):
-        connection, time, raw = message
+    for number, (connection, time, raw) in enumerate(recording.messages(set(seen))):
         index = seen[connection.topic]
         seen[connection.topic] = index + 1
         done += len(raw)
@@ -103,11 +113,9 @@ def chosen_messages(
             progress(done / total)
         if not selection.masks[connection.topic][index]:
             continue
-        change = selection.changes.get(connection.topic)
-        if change is None:
-            yield message
-        else:
-            yield connection, time, bytes(change(index, raw))
+        change, later = selection.changes.get(connection.topic), selection.later.get(connection.topic)
+        changed = raw if change is None else bytes(change(index, raw))
+        yield connection, time, 0 if later is None else int(later[index]), changed
 
 
 def _rule(recording: Recording, stream: Stream, changes: Changes) -> Change | None:
