@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache, cached_property
-from statistics import NormalDist
+from functools import cached_property
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     Pixels = npt.NDArray[Any]
     Ranges = npt.NDArray[np.float64]
     Ways = npt.NDArray[np.float64]
+
+_BYTE = 255
+_VALUES, _PIECE = 2**22, 2**18
+"""Numbers of noise that images take pieces of, and the length of a piece."""
 
 STEP_SECONDS = 1.0
 """Time for which an exposure stays as it is, s."""
@@ -50,6 +54,12 @@ class Weather:
     numbers: Numbers
     nearest: float = 0.0
 
+    @property
+    def is_idle(self) -> bool:
+        """Tell whether the points stay as they are."""
+        one = self.wanted
+        return not any((one.range_noise, one.drop_points, one.sector, one.rain))
+
 
 def disturbed_scan(message: Any, weather: Weather, index: int, where: str) -> Any:
     """Return a PointCloud2 with other ranges, and without some of its points.
@@ -68,21 +78,25 @@ def disturbed_scan(message: Any, weather: Weather, index: int, where: str) -> An
     if missing := [axis for axis in "xyz" if axis not in names]:
         raise DataError(f"{where}: points have no field {missing[0]!r}; they have: {', '.join(names)}")
     wanted, numbers = weather.wanted, weather.numbers
-    x, y, z = (points[axis].astype(np.float64) for axis in "xyz")
-    stay = np.ones(len(points), dtype=np.bool_)
+    # In the precision of the points themselves, but for those of whole numbers.
+    kind = np.result_type(np.float32, *(points.dtype[axis] for axis in "xyz"))
+    x, y, z = (points[axis].astype(kind) for axis in "xyz")
+    stay = None
     if wanted.sector:
-        stay &= ~(np.abs(np.arctan2(y, x)) > math.pi - math.radians(wanted.sector) / 2)
+        stay = np.abs(np.arctan2(y, x)) <= math.pi - math.radians(wanted.sector) / 2
     if wanted.drop_points:
-        stay &= numbers("dropPoints", index=index).random(len(points)) >= wanted.drop_points
+        kept = numbers("dropPoints", index=index).random(len(points)) >= wanted.drop_points
+        stay = kept if stay is None else stay & kept
     if wanted.rain or wanted.range_noise:
         true = np.sqrt(x * x + y * y + z * z)
         ranges = true
         if wanted.rain:
             ranges = _through_rain(true, wanted.rain, weather.nearest, numbers("rain", index=index))
         if wanted.range_noise:
-            noise = numbers("rangeNoise", index=index).standard_normal(len(points)) * wanted.range_noise
+            drawn = numbers("rangeNoise", index=index).standard_normal(len(points), dtype=np.float32)
+            noisy = ranges + drawn * np.float32(wanted.range_noise)
             # What would be behind the sensor stays where it is.
-            ranges = np.where(ranges + noise > 0, ranges + noise, ranges)
+            ranges = np.where(noisy > 0, noisy, ranges)
         # As does what is no return.
         moves = (true > 0) & np.isfinite(true)
         scale = np.where(moves, ranges, 1.0) / np.where(moves, true, 1.0)
@@ -124,6 +138,9 @@ class Shutter:
         self._wanted = wanted
         self._numbers = numbers
         self._ways = ways
+        self._tables: dict[bool, Pixels] = {}
+        self._making = Lock()
+        self._numbers_of_noise: Pixels | None = None
 
     @property
     def is_idle(self) -> bool:
@@ -149,20 +166,52 @@ class Shutter:
             pixels = _smeared(pixels, self._trace)
         if self._ways is not None and np.linalg.norm(self._ways[index]) >= _SHARP:
             pixels = _smeared(pixels, trace_of(*self._ways[index].tolist()))
-        brighter = one.exposure_step and int(nanoseconds / 1e9 // STEP_SECONDS) % 2
+        brighter = bool(one.exposure_step) and bool(int(nanoseconds / 1e9 // STEP_SECONDS) % 2)
         if brighter or one.gamma not in {None, 1}:
-            table = (
-                np.arange(most + 1) / most * (2.0**one.exposure_step if one.exposure_step and brighter else 1)
-            )
-            table = np.clip(table, 0.0, 1.0) ** (one.gamma or 1.0)
-            pixels = np.rint(table * most).astype(pixels.dtype)[pixels]
+            table = self._table(brighter, pixels.dtype)
+            pixels = np.asarray(cv2.LUT(pixels, table)) if most == _BYTE else table[pixels]
         if one.noise:
-            drawn = self._numbers("noise", index=index).integers(0, _STEPS, pixels.shape, dtype=np.uint16)
-            noisy = pixels + np.rint(_normal() * (one.noise * most / 255)).astype(np.int32)[drawn]
-            pixels = np.clip(noisy, 0, most).astype(pixels.dtype)
+            pixels = self._noisy(pixels, index)
         if one.jpeg_quality:
             pixels = _through_jpeg(pixels, one.jpeg_quality)
         return pixels
+
+    def _table(self, brighter: bool, kind: np.dtype[Any]) -> Pixels:
+        """Return what becomes of each brightness."""
+        if brighter not in self._tables:
+            one, most = self._wanted, int(np.iinfo(kind).max)
+            shares = np.arange(most + 1) / most * (2.0 ** (one.exposure_step or 0.0) if brighter else 1.0)
+            table = np.clip(shares, 0.0, 1.0) ** (one.gamma or 1.0)
+            self._tables[brighter] = np.rint(table * most).astype(kind)
+        return self._tables[brighter]
+
+    def _noisy(self, pixels: Pixels, index: int) -> Pixels:
+        """Return an image with noise: pieces of one long row of numbers, from places drawn for each image.
+
+        Drawing numbers for each pixel would take longer than all else that is done to an image.
+        """
+        noise = self._noise(pixels.dtype)
+        drawn = self._numbers("noise", index=index)
+        flat = np.ascontiguousarray(pixels).reshape(-1)
+        found = np.empty_like(flat)
+        depth = cv2.CV_8U if pixels.dtype == np.uint8 else cv2.CV_16U
+        for begin in range(0, len(flat), _PIECE):
+            piece = flat[begin : begin + _PIECE]
+            start = int(drawn.integers(0, len(noise) - _PIECE))
+            # Sums are cut off at the ends of the range.
+            total = cv2.add(piece[None], noise[None, start : start + len(piece)], dtype=depth)
+            found[begin : begin + _PIECE] = np.asarray(total)[0]
+        return found.reshape(pixels.shape)
+
+    def _noise(self, kind: np.dtype[Any]) -> Pixels:
+        """Return whole numbers that are normally distributed, shape (n,)."""
+        with self._making:
+            if self._numbers_of_noise is None:
+                sigma = (self._wanted.noise or 0.0) * int(np.iinfo(kind).max) / _BYTE
+                drawn = self._numbers("noise values").standard_normal(_VALUES, dtype=np.float32)
+                whole = np.int16 if kind == np.uint8 else np.int32
+                self._numbers_of_noise = np.rint(drawn * np.float32(sigma)).astype(whole)
+        return self._numbers_of_noise
 
     @cached_property
     def _trace(self) -> Ways:
@@ -224,19 +273,6 @@ def _through_jpeg(pixels: Pixels, quality: int) -> Pixels:
     encoded = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     decoded: Any = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED)
     return np.asarray(decoded)
-
-
-_STEPS = 2**16
-
-
-@cache
-def _normal() -> npt.NDArray[np.float64]:
-    """Return values that are normally distributed when drawn evenly, to 4.3 sigma, shape (n,).
-
-    Drawing these, rounded, takes less than half of the time of drawing and rounding numbers for each pixel.
-    """
-    inverse = NormalDist().inv_cdf
-    return np.array([inverse((k + 0.5) / _STEPS) for k in range(_STEPS)])
 
 
 _RED_FIRST = ("rgb8", "rgba8", "rgb16")

@@ -102,20 +102,23 @@ class _Perturber:
             self._selection = complete_frames(self._selection)
         stamps = self._stamps()
         changes: dict[str, MessageChange] = {}
+        finishes: dict[str, MessageChange] = {}
         for stream in self._selection.streams:
-            steps = self._content(stream)
+            if (change := self._content(stream)) is not None:
+                changes[stream.topic] = change
+            steps = self._in_turn(stream)
             if stream.topic in stamps:
                 steps += self._moved(stream, stamps[stream.topic])
             if steps:
-                changes[stream.topic] = partial(_all_of, steps)
+                finishes[stream.topic] = partial(_all_of, steps)
         scans = dict(self._selection.scans)
         for topic, moved in stamps.items():
             scans[topic] = replace(scans[topic], stamps=moved)
         later = self._later_deliveries()
         first, last = self._selection.record_window
         window = first, last + max((int(added.max()) for added in later.values()), default=0)
-        found = replace(self._selection, scans=scans, changes=changes, later=later, record_window=window)
-        return with_masks(found, {})
+        found = replace(self._selection, scans=scans, changes=changes, finishes=finishes)
+        return with_masks(replace(found, later=later, record_window=window), {})
 
     def _numbers(self, purpose: str, stream: Stream, index: int = 0) -> np.random.Generator:
         return numbers_of(self._seed, f"{purpose} {stream.sensor}", index)
@@ -244,30 +247,33 @@ class _Perturber:
 
     # What.
 
-    def _content(self, stream: Stream) -> list[MessageChange]:
-        """Return the changes of a message's content."""
-        found: list[MessageChange] = []
+    def _content(self, stream: Stream) -> MessageChange | None:
+        """Return the change of what an image or a scan shows."""
         perturb, where = self._perturb, f"{stream.topic} in {self._recording.label}"
         numbers = partial(self._numbers, stream=stream)
         if perturb.lidar is not None and stream.message_type == POINT_CLOUD and _is(stream, SensorType.LIDAR):
             declared = stream.declared.lidar if stream.declared else None
             weather = Weather(perturb.lidar, numbers, declared.min_range if declared else 0.0)
-            found.append(self._decoded(stream, lambda k, scan: disturbed_scan(scan, weather, k, where)))
-        if perturb.imu is not None and stream.message_type == IMU:
-            found += self._samples(stream, perturb.imu)
-        if perturb.images is None or stream.message_type not in {IMAGE, COMPRESSED_IMAGE}:
-            return found
-        if _is(stream, SensorType.CAMERA):
-            of_images = perturb.images
-            scan = self._selection.scans[stream.topic]
-            first = int(scan.stamps[0])
-            shutter = Shutter(of_images, numbers, self._ways(stream, scan, of_images))
-            found.append(
-                self._decoded(
-                    stream,
-                    lambda k, image: disturbed_image(image, shutter, k, int(scan.stamps[k]) - first, where),
-                )
-            )
+            if weather.is_idle:
+                return None
+            return self._decoded(stream, lambda k, scan: disturbed_scan(scan, weather, k, where))
+        is_image = stream.message_type in {IMAGE, COMPRESSED_IMAGE}
+        if perturb.images is None or not is_image or not _is(stream, SensorType.CAMERA):
+            return None
+        scan = self._selection.scans[stream.topic]
+        first = int(scan.stamps[0])
+        shutter = Shutter(perturb.images, numbers, self._ways(stream, scan, perturb.images))
+        if shutter.is_idle:
+            return None
+        return self._decoded(
+            stream, lambda k, image: disturbed_image(image, shutter, k, int(scan.stamps[k]) - first, where)
+        )
+
+    def _in_turn(self, stream: Stream) -> list[MessageChange]:
+        """Return the changes that need the message before, or take next to nothing."""
+        found: list[MessageChange] = []
+        if self._perturb.imu is not None and stream.message_type == IMU:
+            found += self._samples(stream, self._perturb.imu)
         if stream.topic in self._repeated:
             found.append(self._standing_still(stream))
         return found
