@@ -14,6 +14,7 @@ from slamhive.model.errors import InputError, UnknownNameError, suggestion
 from slamhive.model.run import MappingRunSpec
 from slamhive.model.sensors import ROLE_TYPES, STAND_INS, SensorType
 from slamhive.model.synthetic import SyntheticSensor
+from slamhive.plan.perturbable import chosen_form, perturbation_problems
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -106,6 +107,9 @@ def run_problems(
         yield problem
     if mode is not None and dataset is not None:
         yield from role_problems(mode, dataset, options.get("remap", {}))
+        if algorithm is not None and options.get("perturb"):
+            form = chosen_form(dataset, algorithm.spec.formats(mode))
+            yield from perturbation_problems(options, dataset, mode.needs, form)
     lidar = options.get("lidar") or {}
     if lidar.get("minRange", 0) >= lidar.get("maxRange", float("inf")):
         yield "input.lidar: minRange must be below maxRange"

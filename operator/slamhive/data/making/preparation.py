@@ -19,7 +19,7 @@ from slamhive.contract.posefiles import FRAMES
 from slamhive.data.files.fetching import sha256_of
 from slamhive.data.files.once import evict, flush, in_use, make_once
 from slamhive.data.making.orders import frames_text, make_recording, order_of
-from slamhive.data.recordings.entries import recording_sha256
+from slamhive.data.recordings.entries import dataset_sha256, recording_sha256
 from slamhive.data.recordings.reading import Recording, guess_format
 from slamhive.data.recordings.version import VERSION
 from slamhive.model.canonical import digest
@@ -30,6 +30,7 @@ from slamhive.model.results import Prepared
 from slamhive.model.run import without_idle
 from slamhive.model.sensors import FOLLOWS, Role
 from slamhive.model.variant import open_codes
+from slamhive.plan.perturbable import chosen_form
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -177,8 +178,7 @@ def _identified(
 ) -> tuple[Order, str, str]:
     """Return the order that a variant is made from, the hash of its recording, and its key."""
     spec = entry.dataset.spec
-    recorded = DataFormat(spec.recording.format)
-    target = DataFormat(recorded if recorded in formats else formats[0])
+    target = chosen_form(entry.dataset, formats)
     order = order_of(entry, roles, options, target, topics)
     sensors, wish = order.sensors, order.wish
     source = recording_sha256(entry, cache / ".hashes")
@@ -203,6 +203,7 @@ def _identified(
         | ({"topics": sorted(order.topics)} if order.topics else {})
         | ({"repair": repairs} if repairs else {})
         | ({"perturb": without_idle(wish.perturb.as_json())} if wish.perturb else {})
+        | ({"turning": dataset_sha256(entry, cache / ".hashes")} if wish.blurs_by_motion else {})
     )
     return order, source, key
 
