@@ -118,7 +118,7 @@ def made_from(dataset: Dataset, datasets: Path) -> str | None:
     """Return the hash of what a dataset is generated or fetched by; None where its files are its own."""
     if dataset.spec.recording.synthetic is None and not dataset.spec.is_to_fetch:
         return None
-    return digest([made_folder(dataset, datasets).name, dataset.spec.as_json()])
+    return digest([made_folder(dataset, datasets).name, dataset.spec.replace(preparations=None).as_json()])
 
 
 def _of_catalogue(dataset: Dataset, datasets: Path, progress: Callable[[float], None] | None) -> DatasetEntry:

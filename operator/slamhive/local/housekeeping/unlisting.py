@@ -254,9 +254,10 @@ def _renamed(record: RunRecord, new: str) -> RunRecord:
     provenance = known
     # One of an earlier slamhive may have been hashed otherwise: it keeps its hashes, and serves no other run.
     if known.spec_hash == spec_hash(record.spec) and None not in parts:
-        hashed = spec_hash(spec)
-        if known.content_hash == content_hash(known.spec_hash, *map(str, parts)):
-            provenance = known.replace(spec_hash=hashed, content_hash=content_hash(hashed, *map(str, parts)))
+        hashed, by = spec_hash(spec), known.prepared_by
+        if known.content_hash == content_hash(known.spec_hash, *map(str, parts), by):
+            again = content_hash(hashed, *map(str, parts), by)
+            provenance = known.replace(spec_hash=hashed, content_hash=again)
     return record.replace(spec=spec, provenance=provenance)
 
 
