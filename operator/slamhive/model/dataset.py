@@ -13,7 +13,7 @@ from slamhive.model.errors import InputError, suggestion
 from slamhive.model.repair import Repair, SensorRepair
 from slamhive.model.sensors import ROLE_TYPES, ROLES, STAND_INS, Extrinsics, Role, Sensor, SensorType
 from slamhive.model.synthetic import SyntheticRecording
-from slamhive.model.variant import PreparingProgram, ProgramName, misnamed
+from slamhive.model.variant import PreparingProgram, misnamed
 from slamhive_eval.errors import OptionError
 from slamhive_eval.formats.columns import TableFormat
 
@@ -225,7 +225,7 @@ class DatasetSpec(Model):
     repair: Repair | None = optional(
         "What the preparation changes in the recording's messages, and in the stamps of its ground truth."
     )
-    preparations: dict[ProgramName, PreparingProgram] | None = optional(
+    preparations: dict[str, PreparingProgram] | None = optional(
         "Programs by name that make other frames of the recording's: runs name one as input.preparedBy.",
         max_length=32,
     )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import ConfigDict, Field, StringConstraints, model_validator
@@ -10,6 +11,7 @@ from pydantic import ConfigDict, Field, StringConstraints, model_validator
 from slamhive.model.algorithm import LocalProgram
 from slamhive.model.base import Choice, Duration, Image, Model, Quantity, Scalar, optional
 from slamhive.model.configuration import PreparedRecording
+from slamhive.model.errors import suggestion
 from slamhive.model.run import NO_PROGRAM
 from slamhive.model.sensors import ROLE_TYPES, Extrinsics, Role, SensorType
 
@@ -44,7 +46,7 @@ class PreparingProgram(Model):
         default_factory=list, description="Program in the container; default: its own."
     )
     local: LocalProgram | None = optional("How to run it without a container.")
-    gives: dict[Role, GivenSensor] | None = optional("Sensors by role that the recording hasn't got.")
+    gives: dict[str, GivenSensor] | None = optional("Sensors by role that the recording hasn't got.")
     memory: Quantity = Field(default="4Gi", description="Memory.")
     disk: Quantity = Field(default="20Gi", description="Disk space for what it writes.")
     timeout: Duration = Field(default="1h", description="Longest time for a recording.")
@@ -53,10 +55,14 @@ class PreparingProgram(Model):
     def _is_program(self) -> Self:
         if self.image is None and self.local is None:
             raise ValueError("give an image, or local for a program without a container")
-        for role, given in (self.gives or {}).items():
+        roles = [str(role) for role in Role]
+        for name in self.gives or {}:
+            if name not in roles:
+                raise ValueError(f"gives: unknown role {name!r}{suggestion(name, roles)}")
+        for role, given in self.given.items():
             if ROLE_TYPES[role] not in {SensorType.CAMERA, SensorType.DEPTH_CAMERA}:
                 raise ValueError(f"gives.{role}: only cameras can be given, and it is a {ROLE_TYPES[role]}")
-            if ROLE_TYPES[given.follows] is not SensorType.CAMERA or given.follows in (self.gives or {}):
+            if ROLE_TYPES[given.follows] is not SensorType.CAMERA or given.follows in self.given:
                 raise ValueError(
                     f"gives.{role}.follows: expected the role of a recorded camera, found {given.follows!r}"
                 )
@@ -64,24 +70,29 @@ class PreparingProgram(Model):
                 raise ValueError(f"gives.{role}.depthScale: needed for depth, and for nothing else")
         return self
 
+    @property
+    def given(self) -> dict[Role, GivenSensor]:
+        """Return the sensors that it gives, by role."""
+        return {Role(name): given for name, given in (self.gives or {}).items()}
+
     def recorded(self, roles: Iterable[Role]) -> tuple[Role, ...]:
         """Return the roles that a recording must fill so that the program can give those of a run."""
-        gives = self.gives or {}
-        return tuple(dict.fromkeys(gives[role].follows if role in gives else role for role in roles))
+        given = self.given
+        return tuple(dict.fromkeys(given[role].follows if role in given else role for role in roles))
 
 
-ProgramName = Annotated[
-    str,
-    StringConstraints(pattern=r"^[a-z0-9]([-a-z0-9]*[a-z0-9])?$", max_length=40),
-    Field(description="Name of a preparing program; none means no program."),
-]
+_PROGRAM_NAME = re.compile(r"[a-z0-9]([-a-z0-9]{0,38}[a-z0-9])?")
 
 
 def misnamed(names: Iterable[str]) -> str | None:
-    """Return a sentence on a program of a name that means none; None where there is no such."""
-    return (
-        f"preparations: {NO_PROGRAM!r} means no program; choose another name" if NO_PROGRAM in names else None
-    )
+    """Return a sentence on a preparing program's name that can't be one; None where there is no such."""
+    for name in names:
+        if name == NO_PROGRAM:
+            return f"preparations: {name!r} means no program; choose another name"
+        if not _PROGRAM_NAME.fullmatch(name):
+            allowed = "lower-case letters, digits and -, at most 40"
+            return f"preparations: {name!r} can't be a name; expected {allowed}"
+    return None
 
 
 class Severity(Choice):

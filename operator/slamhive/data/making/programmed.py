@@ -199,7 +199,7 @@ def _make_in(
     shown = show_frames(plain, given, _share(progress, 0.2, 0.4))
     out = maker.run(work, sum(one.count for one in shown.values()), _share(progress, 0.4, 0.8))
     name = FILE_NAMES[plain.format]
-    gives = maker.program.gives or {}
+    gives = maker.program.given
     try:
         sensors = take_frames(plain, shown, gives, out, aside / name, _share(progress, 0.8, 0.9))
     except DataError as error:

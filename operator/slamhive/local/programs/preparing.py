@@ -151,7 +151,7 @@ class Preparer:
             start = self._start(work)
         except (Unavailable, ImageMissing) as error:
             raise InputError(f"{self.called} can't run here: {error}") from None
-        most = frames * (1 + len(self.program.gives or {})) + _SPARE_FILES
+        most = frames * (1 + len(self.program.given)) + _SPARE_FILES
         spec = SupervisorSpec(
             **start,
             log_path=str(work / _LOG),
