@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from slamhive.local.programs.containers import Containers
 from slamhive.local.running.choosing import RunChoice
 from slamhive.local.running.runner import Job, Runner
 from slamhive.model.dataset import Dataset
@@ -22,9 +23,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from slamhive.local.home.folder import Home
+    from slamhive.local.programs.engines import Engine
     from slamhive.local.running.workbench import Workbench
     from slamhive.model.results import RunRecord
 
+SHELL = "slamhive/shell-algorithm:1.0.0"
 HEAD = f"""#!{sys.executable}
 import os, sys, time
 from pathlib import Path
@@ -61,6 +64,7 @@ def prepared(home: Home, bench: Workbench) -> Callable[..., list[RunRecord]]:
 
     def run(*names: str, **fields: object) -> list[RunRecord]:
         programs = {name: {"local": {"command": [f"{name}.py"]}, **LIMITS.get(name, {})} for name in PROGRAMS}
+        programs |= run.programs  # type: ignore[attr-defined]
         for name, text in PROGRAMS.items():
             write(home.path / f"{name}.py", text)
         spec = place.dataset.spec.as_json() | {"preparations": programs}
@@ -71,6 +75,7 @@ def prepared(home: Home, bench: Workbench) -> Callable[..., list[RunRecord]]:
         Runner(bench, notes, parallelism=2, wish=RunChoice()).run([job])
         return sorted(notes.records, key=lambda one: one.index)
 
+    run.programs = {}  # type: ignore[attr-defined]
     return run
 
 
@@ -148,3 +153,34 @@ def test_a_program_that_is_not_there_is_told(
         InputError, match=r"the preparation 'copy' of dataset 'tiny' can't run here: .*copy\.py"
     ):
         bench.prepare(spec, bench.workshop.algorithm("actor").algorithm)
+
+
+IN_CONTAINER = {
+    "copy": "mkdir own/out/lidar && cp in/lidar/*.npy own/out/lidar && test $SLAMHIVE_OUT = $PWD/own/out",
+    "crash": "echo hello; touch in/x; exit 4",
+    "nothing": "exit 0",
+    "filler": "dd if=/dev/zero of=$TMPDIR/x bs=1024 count=4096 && sleep 60",
+    "hungry": "head -c 400000000 /dev/zero | tail -c 390000000 | wc -c",
+}
+
+
+@pytest.mark.usefixtures("podman")
+def test_an_image_prepares_within_the_same_bounds(
+    prepared: Callable[..., list[RunRecord]], bench: Workbench, podman: Engine
+) -> None:
+    for name, script in IN_CONTAINER.items():
+        program = {"image": SHELL, "command": ["sh", "-c", script], **LIMITS.get(name, {})}
+        prepared.programs[name] = program  # type: ignore[attr-defined]
+    records = dict(zip(IN_CONTAINER, prepared(*IN_CONTAINER), strict=True))
+    ok = records.pop("copy")
+    assert (ok.phase, ok.message) == (Phase.SUCCEEDED, None)
+    assert ok.provenance.prepared_by
+    told = {name: record.message.partition("dataset 'tiny' ")[2] for name, record in records.items()}
+    assert {record.reason for record in records.values()} == {Reason.PREPARATION_FAILED}
+    assert told["crash"].startswith(
+        "failed: exit code 4; its log ends: hello | touch: cannot touch 'in/x': Read-only file system ("
+    )
+    assert told["nothing"].startswith("wrote nothing; expected frames of lidar")
+    assert told["filler"].startswith("failed: its output grew beyond the limit of 1 MiB")
+    assert told["hungry"].startswith("failed: it needed more memory than its limit of 64 MiB")
+    assert podman.labelled(f"io.slamhive.home={Containers(bench.home).identity()}") == []
