@@ -152,9 +152,15 @@ def without_idle(perturb: Mapping[str, Any]) -> dict[str, Any]:
     return found | ({"seed": seed} if drawn and seed not in {None, DEFAULT_SEED} else {})
 
 
+NO_PROGRAM = "none"
+"""Value of `InputOptions.prepared_by` that means the recording as it is."""
+
+
 def essential(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the ``input`` of a spec that hashes are of: without perturbations that change nothing."""
+    """Return the ``input`` of a spec that hashes are of: without what changes nothing of the recording."""
     rest = {key: value for key, value in options.items() if key != "perturb"}
+    if rest.get("preparedBy") == NO_PROGRAM:
+        del rest["preparedBy"]
     perturb = without_idle(options.get("perturb") or {})
     return rest | ({"perturb": perturb} if perturb else {})
 
@@ -174,9 +180,18 @@ class InputOptions(Model):
     rate: float | None = Field(default=None, gt=0, le=100, description="Speed of playback in real time.")
     lidar: LidarInput | None = Field(default=None, description="Filter of LiDAR scans.")
     perturb: Perturbation | None = Field(default=None, description="What is made worse on purpose.")
+    prepared_by: str | None = optional(
+        "Program of the Dataset's preparations that makes other frames of what is left; none: no program.",
+        max_length=40,
+    )
     remap: dict[str, str] = Field(
         default_factory=dict, description="Sensor of the dataset for a role, such as camera: back."
     )
+
+    @property
+    def program(self) -> str | None:
+        """Return the name of the program that prepares the recording; None where none does."""
+        return None if self.prepared_by == NO_PROGRAM else self.prepared_by
 
 
 class Resources(Model):

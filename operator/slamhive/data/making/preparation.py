@@ -164,7 +164,25 @@ def variant_folder(
         InputError: The options don't fit the dataset.
         DataError: The recording can't be read.
     """
-    return cache / _identified(entry, roles, options, formats, cache, topics=topics)[-1][:32]
+    return cache / variant_key(entry, roles, options, formats, cache, topics=topics)[:32]
+
+
+def variant_key(
+    entry: DatasetEntry,
+    roles: Sequence[Role],
+    options: InputOptions,
+    formats: Sequence[DataFormat],
+    cache: Path,
+    *,
+    topics: Sequence[str] = (),
+) -> str:
+    """Return the hash that identifies the variant that a run needs; arguments as for ``prepare``.
+
+    Raises:
+        InputError: The options don't fit the dataset.
+        DataError: The recording can't be read.
+    """
+    return _identified(entry, roles, options, formats, cache, topics=topics)[-1]
 
 
 def _identified(
@@ -229,7 +247,7 @@ def _describe(order: Order, path: Path, aside: Path, made: MadeRecording) -> Non
         "format": order.target,
         "playable": True,
         "recording": path.name,
-        "state": _state(path),
+        "state": recording_state(path),
         "framesSha256": sha256_of(aside / FRAMES),
         "sensors": {role: view.as_json() for role, view in made.views.items()},
         "startTime": selection.first / 10**9 + offset,
@@ -285,7 +303,7 @@ def _replace(path: Path, data: bytes) -> None:
         raise
 
 
-def _state(path: Path) -> list[int] | str:
+def recording_state(path: Path) -> list[int] | str:
     """Return size and time of change of a file, or their hash for a folder: an algorithm may change it."""
     if path.is_file():
         return _changed(path)
@@ -308,7 +326,7 @@ def _is_sound(folder: Path) -> bool:
             return False
         changed = frames is not None and sha256_of(folder / FRAMES) != frames
         there = path.is_dir() if form.is_folder else bool(guess_format(path))
-        return not changed and there and _state(path) == description["state"]
+        return not changed and there and recording_state(path) == description["state"]
     except (OSError, ValueError, KeyError, InputError):
         return False
 
