@@ -87,6 +87,7 @@ class TrialStanding:
         number: its place.
         scores: its figures after each step.
         runs: how many of its runs they are of.
+        behind: share of those that it was compared with last which were better.
         dropped: why it gets no further runs; None while it does, or when it has all.
         is_complete: whether all its runs are done.
     """
@@ -94,6 +95,7 @@ class TrialStanding:
     number: int
     scores: list[Score] = field(default_factory=list)
     runs: int = 0
+    behind: float = 0.0
     dropped: str | None = None
     is_complete: bool = False
 
@@ -186,16 +188,15 @@ def _compare(
         standing.dropped = "nothing is known of its runs: the machine failed, or the measuring"
         return
     score = _score(search, layout, seen)
+    others = [one.scores[len(standing.scores)] for one in compared if len(one.scores) > len(standing.scores)]
+    better = sum(other.dominates(score) for other in others)
     standing.scores.append(score)
+    standing.behind = better / max(1, len(others))
     if len(seen) == layout.block:
         return
     if score.failed == 1:
         standing.dropped = f"all of its {len(seen)} runs failed"
         return
-    others = [
-        one.scores[len(standing.scores) - 1] for one in compared if len(one.scores) >= len(standing.scores)
-    ]
-    better = sum(other.dominates(score) for other in others)
     if better >= math.ceil((len(others) + 1) / search.keep):
         standing.dropped = f"after {len(seen)} of {layout.block} runs {better} of {len(others)} were better"
 
