@@ -107,9 +107,9 @@ class Sampler:
             for found in self._answer(asked | {"begin": begin, "tries": tries}, search.method):
                 values = [value_meant(axis, value) for axis, value in zip(space.axes, found, strict=True)]
                 if space.key(values) not in tried:
-                    return Trial(values=values, told=told)
+                    return Trial(values=space.canonical(values), told=told)
         untried = _untried(space, tried, [search.seed, len(trials)])
-        return None if untried is None else Trial(values=untried, told=told)
+        return None if untried is None else Trial(values=space.canonical(untried), told=told)
 
     def _answer(self, asked: dict[str, Any], method: SearchMethod) -> list[list[float]]:
         line = json.dumps(asked).encode() + b"\n"

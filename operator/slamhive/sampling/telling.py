@@ -77,12 +77,15 @@ def question(
         "seed": search.seed,
         "number": len(trials),
         "objectives": len(search.objectives),
-        "conditional": False,
+        "conditional": space.is_conditional,
         "axes": [axis_told(axis) for axis in space.axes],
         "trials": [
             {
                 "values": [
-                    value_told(axis, value) for axis, value in zip(space.axes, trial.values, strict=True)
+                    value_told(axis, value) if has_effect else None
+                    for axis, value, has_effect in zip(
+                        space.axes, trial.values, space.in_effect(trial.values), strict=True
+                    )
                 ],
                 "told": trial.told,
             }
