@@ -111,7 +111,7 @@ def _parts(ends: tuple[float, float], tolerance: float | None, where: str, *, is
     halvings = max(0, math.ceil(math.log2(parts) - 1e-9))
     if halvings > _MOST_HALVINGS:
         raise InputError(
-            f"spec.search.tolerance: {tolerance:g} is too fine for {low:g} to {high:g}, which would have to be "
-            f"halved {halvings} times; at most {_MOST_HALVINGS} are allowed"
+            f"spec.search.tolerance: {tolerance:g} is too fine for {low:g} to {high:g}, which would have to "
+            f"be halved {halvings} times; at most {_MOST_HALVINGS} are allowed"
         )
     return int(2**halvings)
