@@ -12,6 +12,7 @@ from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.columns import ColumnKind
 from slamhive.analysis.grouping import Groups, Outcomes, apart, varies
 from slamhive.analysis.metrics import Metric
+from slamhive.analysis.robustness import RobustnessWish
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError
 from slamhive.reporting.papertables import Statistic
@@ -44,6 +45,7 @@ class FigureKind(Choice):
     USAGE = "usage"
     ECDF = "ecdf"
     REPETITIONS = "repetitions"
+    ROBUSTNESS = "robustness"
 
     @property
     def is_of_files(self) -> bool:
@@ -81,6 +83,7 @@ class Wish:
         log: which axes are logarithmic.
         robust: whether a few numbers far out may be left outside.
         each: whether every run is drawn, where one would stand for several.
+        robustness: what else a robustness card is asked for by.
     """
 
     kind: FigureKind
@@ -93,6 +96,7 @@ class Wish:
     log: Log = Log.AUTO
     robust: bool = True
     each: bool = False
+    robustness: RobustnessWish = RobustnessWish()
 
     def columns(self, field: str, default: Sequence[str], frame: Frame) -> tuple[str, ...]:
         """Return the columns that an option names; of the default ones those that vary.

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robustness card as a picture: a row for each system, a panel for each axis, and how far each goes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from slamhive.analysis.metrics import label_of
+from slamhive.analysis.robustness import RobustnessWish, robustness
+from slamhive.analysis.thresholds import ThresholdStatus
+from slamhive.figures.asking import MOST_CATEGORIES, check_categories
+from slamhive.figures.pictures import Panel, Picture, PictureAxis, Reach
+from slamhive.reporting.titles import keys_text
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamhive.analysis.frame import Frame
+    from slamhive.analysis.robustness import RobustnessCard
+    from slamhive.analysis.thresholds import Threshold
+
+__all__ = ["MOST_CATEGORIES", "card_columns", "card_picture", "reaches"]
+
+
+def reaches(frame: Frame, wish: RobustnessWish) -> Picture:
+    """Return the picture of the robustness card of some runs."""
+    return card_picture(robustness(frame, wish))
+
+
+def card_picture(card: RobustnessCard) -> Picture:
+    """Return the picture of a robustness card."""
+    check_categories("by", "the systems", len(card.rows))
+    names = tuple(keys_text(key) for key in card.rows)
+    panels = tuple(_panel(card, place) for place in range(len(card.axes)))
+    first = panels[0].x or PictureAxis("")
+    return Picture(
+        x=first,
+        y=PictureAxis("", categories=names[::-1]),
+        panels=panels,
+        series=(),
+        notes=card.notes,
+        columns=card_columns(card),
+        runs=card.runs,
+    )
+
+
+def card_columns(card: RobustnessCard) -> dict[str, list[Any]]:
+    """Return the card as a table: a row for each threshold."""
+    keys = list(dict.fromkeys(name for key in card.rows for name in key))
+    columns: dict[str, list[Any]] = {name: [] for name in [*keys, "axis", "status", "passes", "fails"]}
+    columns |= {name: [] for name in ("direction", "sureFrom", "sureTo", "values", "runs", "counts")}
+    for key, cells in zip(card.rows, card.cells, strict=True):
+        for axis, cell in zip(card.axes, cells, strict=True):
+            if cell is None:
+                continue
+            found = {name: key.get(name) for name in keys}
+            found |= {"axis": axis, "status": str(cell.status)}
+            found |= {"passes": cell.passing, "fails": cell.failing, "direction": direction(cell)}
+            found |= {"sureFrom": cell.sure[0], "sureTo": cell.sure[1], "values": len(cell.tallies)}
+            found |= {"runs": cell.runs, "counts": cell.counts}
+            for name, value in found.items():
+                columns[name].append(value)
+    return columns
+
+
+def direction(cell: Threshold) -> str | None:
+    """Return on which side of a threshold it fails."""
+    return None if cell.falls is None else "below" if cell.falls else "above"
+
+
+def _panel(card: RobustnessCard, place: int) -> Panel:
+    cells = [row[place] for row in card.cells]
+    tried = [one.value for cell in cells if cell is not None for one in cell.tallies]
+    # What never fails has no direction of its own: it takes that of the others.
+    falling = [cell.falls for cell in cells if cell is not None and cell.falls is not None]
+    falls = falling.count(True) > falling.count(False)
+    marks = [
+        _reach(cell, len(cells) - 1 - row, falls=falls) for row, cell in enumerate(cells) if cell is not None
+    ]
+    axis = PictureAxis(label_of(card.axes[place]), robust=False, ends=(min(tried), max(tried)))
+    return Panel("", tuple(marks), axis)
+
+
+def _reach(cell: Threshold, row: int, *, falls: bool) -> Reach:
+    tried = [one.value for one in cell.tallies]
+    falls = falls if cell.falls is None else cell.falls
+    start, end = (tried[-1], tried[0]) if falls else (tried[0], tried[-1])
+    quarter: Sequence[tuple[float, float]] = [(one.value, one.share) for one in cell.tallies if one.known]
+    match cell.status:
+        case ThresholdStatus.FOUND:
+            passing = start if cell.passing is None else cell.passing
+            text = f"{cell.counted(cell.passing)} | {cell.counted(cell.failing)}"
+            return Reach(row, start, passing, cell.failing, sure=cell.sure, text=text)
+        case ThresholdStatus.NEVER:
+            return Reach(row, start, end, is_open=True, text=f"never, {cell.counted(end)}")
+        case ThresholdStatus.ALWAYS:
+            return Reach(row, start, start, start, text=f"always, {cell.counted(start)}")
+        case ThresholdStatus.NOT_MONOTONE:
+            return Reach(row, start, start, text="not monotone", shares=tuple(quarter))
+    return Reach(row, start, start, text="unknown")
