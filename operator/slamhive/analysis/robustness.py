@@ -73,6 +73,21 @@ class RobustnessCard:
     runs: int
     notes: tuple[str, ...] = ()
 
+    def columns(self) -> dict[str, list[Any]]:
+        """Return the card as a table, a line for each threshold, by column."""
+        keys = list(dict.fromkeys(name for key in self.rows for name in key))
+        lines = [
+            {name: key.get(name) for name in keys}
+            | {"axis": axis, "status": str(cell.status), "direction": cell.direction}
+            | {"passes": cell.passing, "fails": cell.failing}
+            | {"sureFrom": cell.sure[0], "sureTo": cell.sure[1], "values": len(cell.tallies)}
+            | {"runs": cell.runs, "counts": cell.counts}
+            for key, cells in zip(self.rows, self.cells, strict=True)
+            for axis, cell in zip(self.axes, cells, strict=True)
+            if cell is not None
+        ]
+        return {name: [line[name] for line in lines] for name in (lines[0] if lines else keys)}
+
 
 def robustness(frame: Frame, wish: RobustnessWish) -> RobustnessCard:
     """Return the card of some runs.
@@ -130,9 +145,7 @@ def _axes(frame: Frame, wish: RobustnessWish) -> tuple[str, ...]:
     if not varied:
         raise InputError("no number was varied in these runs: there is nothing to fail by", "x")
     if len(varied) > 1 and len(set(map(str, sweeps))) < len(varied):
-        raise InputError(
-            f"{', '.join(varied)} were varied: name the axes whose thresholds are meant", "x"
-        )
+        raise InputError(f"{', '.join(varied)} were varied: name the axes whose thresholds are meant", "x")
     return _few(tuple(varied))
 
 

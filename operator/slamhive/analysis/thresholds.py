@@ -74,6 +74,11 @@ class Threshold:
         return self.low if self.falls else self.high
 
     @property
+    def direction(self) -> str | None:
+        """Return on which side of it something fails: above or below; None where that isn't known."""
+        return None if self.falls is None else "below" if self.falls else "above"
+
+    @property
     def runs(self) -> int:
         """Return the number of runs of which it is known whether they failed."""
         return sum(one.known for one in self.tallies)

@@ -83,7 +83,7 @@ class Wish:
         log: which axes are logarithmic.
         robust: whether a few numbers far out may be left outside.
         each: whether every run is drawn, where one would stand for several.
-        robustness: what else a robustness card is asked for by.
+        robustness: what a robustness card is asked for by; None of other kinds.
     """
 
     kind: FigureKind
@@ -96,7 +96,7 @@ class Wish:
     log: Log = Log.AUTO
     robust: bool = True
     each: bool = False
-    robustness: RobustnessWish = RobustnessWish()
+    robustness: RobustnessWish | None = None
 
     def columns(self, field: str, default: Sequence[str], frame: Frame) -> tuple[str, ...]:
         """Return the columns that an option names; of the default ones those that vary.

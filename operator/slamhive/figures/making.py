@@ -60,7 +60,7 @@ def _picture(frame: Frame, wish: Wish, home: Home, also: Sequence[Beside], *, pu
         return paths(frame, wish, home, also).settled()
     from slamhive.figures import groups, robustness, singles  # noqa: PLC0415
 
-    if wish.kind is FigureKind.ROBUSTNESS:
+    if wish.robustness is not None:
         return robustness.reaches(frame, wish.robustness).settled()
 
     if wish.kind is FigureKind.SCATTER:

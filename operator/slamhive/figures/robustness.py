@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from slamhive.analysis.metrics import label_of
-from slamhive.analysis.robustness import RobustnessWish, robustness
+from slamhive.analysis.robustness import robustness
 from slamhive.analysis.thresholds import ThresholdStatus
-from slamhive.figures.asking import MOST_CATEGORIES, check_categories
+from slamhive.figures.asking import check_categories
 from slamhive.figures.pictures import Panel, Picture, PictureAxis, Reach
 from slamhive.reporting.titles import keys_text
 
@@ -16,10 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamhive.analysis.frame import Frame
-    from slamhive.analysis.robustness import RobustnessCard
+    from slamhive.analysis.robustness import RobustnessCard, RobustnessWish
     from slamhive.analysis.thresholds import Threshold
-
-__all__ = ["MOST_CATEGORIES", "card_columns", "card_picture", "reaches"]
 
 
 def reaches(frame: Frame, wish: RobustnessWish) -> Picture:
@@ -39,33 +37,9 @@ def card_picture(card: RobustnessCard) -> Picture:
         panels=panels,
         series=(),
         notes=card.notes,
-        columns=card_columns(card),
+        columns=card.columns(),
         runs=card.runs,
     )
-
-
-def card_columns(card: RobustnessCard) -> dict[str, list[Any]]:
-    """Return the card as a table: a row for each threshold."""
-    keys = list(dict.fromkeys(name for key in card.rows for name in key))
-    columns: dict[str, list[Any]] = {name: [] for name in [*keys, "axis", "status", "passes", "fails"]}
-    columns |= {name: [] for name in ("direction", "sureFrom", "sureTo", "values", "runs", "counts")}
-    for key, cells in zip(card.rows, card.cells, strict=True):
-        for axis, cell in zip(card.axes, cells, strict=True):
-            if cell is None:
-                continue
-            found = {name: key.get(name) for name in keys}
-            found |= {"axis": axis, "status": str(cell.status)}
-            found |= {"passes": cell.passing, "fails": cell.failing, "direction": direction(cell)}
-            found |= {"sureFrom": cell.sure[0], "sureTo": cell.sure[1], "values": len(cell.tallies)}
-            found |= {"runs": cell.runs, "counts": cell.counts}
-            for name, value in found.items():
-                columns[name].append(value)
-    return columns
-
-
-def direction(cell: Threshold) -> str | None:
-    """Return on which side of a threshold it fails."""
-    return None if cell.falls is None else "below" if cell.falls else "above"
 
 
 def _panel(card: RobustnessCard, place: int) -> Panel:
