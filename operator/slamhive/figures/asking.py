@@ -12,7 +12,6 @@ from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.columns import ColumnKind
 from slamhive.analysis.grouping import Groups, Outcomes, apart, varies
 from slamhive.analysis.metrics import Metric
-from slamhive.analysis.robustness import RobustnessWish
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError
 from slamhive.reporting.papertables import Statistic
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from slamhive.analysis.frame import Frame
+    from slamhive.analysis.robustness import RobustnessWish
 
 MOST_PANELS = 12
 MOST_SERIES = 12

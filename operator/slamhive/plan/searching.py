@@ -154,6 +154,8 @@ class SearchSpace:
         across = [name for name in search.across or () if name in labels]
         if search.across is None and not self.is_threshold:
             across = [axis.label for axis in dimensions if axis.path == DATASET]
+        if self.is_threshold and search.axis in across:
+            raise InputError(f"spec.search.axis: {search.axis} is one of search.across; name another axis")
         over = [axis for axis in dimensions if axis.label in across]
         searched = [axis for axis in dimensions if axis.label not in across]
         for axis in over:
@@ -193,9 +195,7 @@ class SearchSpace:
     def _seek(self, search: Search, template: Settings, excluded: Sequence[Mapping[str, Any]]) -> None:
         """Lay out the seeking of thresholds: an axis, and a series for each combination of the others."""
         labels = [axis.label for axis in self.axes]
-        if search.axis not in labels:
-            raise InputError(f"spec.search.axis: {search.axis} is one of search.across; name another axis")
-        self.sought = labels.index(search.axis)
+        self.sought = labels.index(search.axis or "")
         self.ladder = Ladder(self.axes[self.sought], search.tolerance)
         for axis in self.axes:
             if axis.ends is not None and axis.label != search.axis:
