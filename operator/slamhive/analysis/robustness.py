@@ -179,6 +179,8 @@ def _series(part: Frame, axis: str) -> list[tuple[dict[str, Any], Any]]:
     names = [name for name in SUBJECT if name == "algorithm" or varies(part, name)]
     names += [name for name in varying(part) if name != axis and "seed" not in name.lower()]
     part, facets = apart(part, [*SUBJECT, *names, axis], ())
+    # A run that broke off was not measured: it belongs to those that were.
+    facets = [name for name in facets if len({*part.column(name).tolist()} - {None}) > 1]
     groups = Groups(part, dict.fromkeys([*SUBJECT, *names, *facets]))
     return list(zip(groups.keys, groups.members(), strict=True))
 

@@ -13,8 +13,6 @@ from slamhive.figures.pictures import Panel, Picture, PictureAxis, Reach
 from slamhive.reporting.titles import keys_text
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from slamhive.analysis.frame import Frame
     from slamhive.analysis.robustness import RobustnessCard, RobustnessWish
     from slamhive.analysis.thresholds import Threshold
@@ -59,7 +57,7 @@ def _reach(cell: Threshold, row: int, *, falls: bool) -> Reach:
     tried = [one.value for one in cell.tallies]
     falls = falls if cell.falls is None else cell.falls
     start, end = (tried[-1], tried[0]) if falls else (tried[0], tried[-1])
-    quarter: Sequence[tuple[float, float]] = [(one.value, one.share) for one in cell.tallies if one.known]
+    shares = tuple((one.value, one.share) for one in cell.tallies if one.known)
     match cell.status:
         case ThresholdStatus.FOUND:
             passing = start if cell.passing is None else cell.passing
@@ -70,5 +68,5 @@ def _reach(cell: Threshold, row: int, *, falls: bool) -> Reach:
         case ThresholdStatus.ALWAYS:
             return Reach(row, start, start, start, text=f"always, {cell.counted(start)}")
         case ThresholdStatus.NOT_MONOTONE:
-            return Reach(row, start, start, text="not monotone", shares=tuple(quarter))
+            return Reach(row, start, start, text="not monotone", shares=shares)
     return Reach(row, start, start, text="unknown")
