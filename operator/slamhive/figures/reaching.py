@@ -64,10 +64,11 @@ def _write(axes: Any, mark: Reach, points: float) -> None:
     transform, back = axes.transData, axes.transAxes.inverted()
     share = float(back.transform(transform.transform((mark.end, mark.row)))[0])
     aligned = "left" if share < 0.3 else "right" if share > 0.7 else "center"
-    axes.text(
-        mark.end,
-        mark.row + _HALF - _LOW + 0.04,
+    axes.annotate(
         mark.text,
+        (mark.end, mark.row + _HALF - _LOW + 0.04),
+        (0.35 * points if share < 0.05 else 0, 0),
+        textcoords="offset points",
         fontsize=0.72 * points,
         color=_INK,
         ha=aligned,

@@ -47,7 +47,10 @@ def _panel(card: RobustnessCard, place: int) -> Panel:
     falling = [cell.falls for cell in cells if cell is not None and cell.falls is not None]
     falls = falling.count(True) > falling.count(False)
     marks = [
-        _reach(cell, len(cells) - 1 - row, falls=falls) for row, cell in enumerate(cells) if cell is not None
+        Reach(len(cells) - 1 - row, min(tried), min(tried), text="not run")
+        if cell is None
+        else _reach(cell, len(cells) - 1 - row, falls=falls)
+        for row, cell in enumerate(cells)
     ]
     axis = PictureAxis(label_of(card.axes[place]), robust=False, ends=(min(tried), max(tried)))
     return Panel("", tuple(marks), axis)
