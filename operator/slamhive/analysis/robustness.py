@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from slamhive.analysis.expressions import parse_where
 from slamhive.analysis.grouping import FAILED_OF_ITSELF, SUBJECT, Groups, apart, varies, varying, where_equal
@@ -20,14 +21,13 @@ from slamhive.analysis.thresholds import Threshold, estimate
 from slamhive.engine import ValueTally
 from slamhive.model.errors import InputError
 from slamhive.model.results import Outcome, Phase
-from slamhive.model.search import Failing, SearchMethod
+from slamhive.model.search import Failing, Search, SearchMethod
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from slamhive.analysis.columns import Mask
     from slamhive.analysis.frame import Frame
-    from slamhive.model.search import Search
 
 MOST_AXES = 12
 
@@ -247,13 +247,14 @@ def searches_of(specs: Mapping[str, Mapping[str, Any]]) -> dict[str, Search]:
     Args:
         specs: specs of Sweeps by name, as they are archived.
     """
-    from slamhive.model.sweep import SweepSpec  # noqa: PLC0415
-
     found: dict[str, Search] = {}
     for name, spec in specs.items():
-        if spec.get("search", {}).get("method") != SearchMethod.THRESHOLD.value:
+        if (spec.get("search") or {}).get("method") != SearchMethod.THRESHOLD.value:
             continue
-        read = SweepSpec.model_validate(dict(spec))
-        axis = next((one.path for one in read.matrix if one.label == read.search.axis), None)
-        found[name] = read.search.model_copy(update={"axis": axis or read.search.axis})
+        try:
+            search = Search.model_validate(spec["search"])
+        except ValidationError:
+            continue  # of another version of slamhive
+        labels = {one.get("name") or one.get("path"): one.get("path") for one in spec.get("matrix") or ()}
+        found[name] = search.replace(axis=labels.get(search.axis) or search.axis)
     return found
