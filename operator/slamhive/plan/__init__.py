@@ -15,7 +15,7 @@ from slamhive.plan.hashes import (
 )
 from slamhive.plan.images import image_digest, pinned_digest
 from slamhive.plan.resolution import resolve
-from slamhive.plan.searching import SearchPlan, SearchSpace
+from slamhive.plan.searching import SearchPlan, SearchSpace, plan_of
 
 __all__ = [
     "Catalog",
@@ -32,6 +32,7 @@ __all__ = [
     "local_uid",
     "option_problems",
     "pinned_digest",
+    "plan_of",
     "plan_problems",
     "recording_fields",
     "resolve",
