@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from slamhive.analysis.flattening import DOCUMENTS, OF_RUN, Results, columns_of_runs
+from slamhive.analysis.flattening import DOCUMENTS, OF_RUN, TIMES, Results, columns_of_runs
 from slamhive.analysis.frame import Frame
 from slamhive.engine import RunSeen
 from slamhive.model.errors import InputError
@@ -66,6 +66,8 @@ def records_frame(records: Sequence[RunRecord]) -> Frame:
             runs[name] = [one[name] for one in plain]
         elif name in {"sensors", "repetition", "seed"}:
             runs[name] = [record.spec.get(name) for record in records]
+    for name in TIMES & runs.keys():
+        runs[name] = [getattr(record, name) for record in records]
     results = [(place, result) for place, record in enumerate(records) for result in record.results[:1]]
     return Frame(*columns_of_runs(runs, Results.of(results)))
 

@@ -183,3 +183,12 @@ class Trial(Model):
     origin: TrialOrigin = Field(
         default=TrialOrigin.DRAWN, description="Drawn by the method, or known to the archive before."
     )
+
+
+class SearchRecord(Model):
+    """A search as far as it has come: what it goes on from after any end."""
+
+    trials: list[Trial] = Field(default_factory=list, description="The settings that are tried, by number.")
+    spared: int = Field(
+        default=0, ge=0, description="Runs whose results the archive had before the search began."
+    )

@@ -10,6 +10,7 @@ import asyncio
 from array import array
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from slamhive.archive import SweepRecord
@@ -18,11 +19,12 @@ from slamhive.kube.api.encoding import encode
 from slamhive.kube.api.kinds import annotations_of
 from slamhive.kube.reconciling.archiving import KeptRuns, in_thread
 from slamhive.kube.reconciling.sweep_runs import Finished, SweepTally, decode_points, point_of
+from slamhive.kube.reconciling.sweep_search import SearchMemory, read_trials, require_room
 from slamhive.kube.status import moment
 from slamhive.model.errors import InputError
 from slamhive.model.results import Phase
-from slamhive.model.status import LIST_BYTES, AxisSelection
-from slamhive.plan import FixedCatalog, Plan, plan_problems
+from slamhive.model.status import LIST_BYTES, AxisSelection, trial_field
+from slamhive.plan import FixedCatalog, Plan, SearchPlan, plan_problems
 from slamhive.plan.catalog import select
 
 if TYPE_CHECKING:
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from slamhive.model.status import SweepStatus
     from slamhive.model.sweep import Axis, Sweep
 
+_READ_AT_ONCE = 500
 _KINDS = {"algorithm": "algorithm", "dataset": "dataset"}
 
 
@@ -58,6 +61,7 @@ class SweepMemory:
         deleted: of these the finished ones, by point, unless that was done again.
         replaced: UIDs of runs that were deleted and are done again, by point: their records go then.
         lost: points that are done, of whose runs neither object nor record is left.
+        search: what is remembered of its search, where it is one; ``order`` is empty then.
     """
 
     plan: Plan
@@ -77,6 +81,13 @@ class SweepMemory:
     deleted: dict[int, Finished] = field(default_factory=dict)
     replaced: dict[int, set[str]] = field(default_factory=dict)
     lost: set[int] = field(default_factory=set)
+    search: SearchMemory | None = None
+
+    @property
+    def most_runs(self) -> int:
+        """Return the number of runs at most."""
+        search = self.search
+        return search.plan.most_trials * search.plan.space.block if search else len(self.plan)
 
 
 def choose(sweep: Sweep, catalog: FixedCatalog, status: SweepStatus) -> list[AxisSelection]:
@@ -110,6 +121,7 @@ def fixed(sweep: Sweep, selected: list[AxisSelection]) -> Sweep:
 async def remember(
     sweep: Sweep,
     status: SweepStatus,
+    trials: list[Object],
     catalog: FixedCatalog,
     live: list[Object],
     archive: Archive | None,
@@ -122,6 +134,7 @@ async def remember(
     Args:
         sweep: the Sweep.
         status: its status.
+        trials: what its search has tried, as the status holds it.
         catalog: Algorithms and Datasets of its namespace.
         live: its live runs.
         archive: where finished runs go.
@@ -139,13 +152,19 @@ async def remember(
             f"{LIST_BYTES}: divide it"
         )
 
+    chosen, searching = fixed(sweep, selected), sweep.spec.search.is_search
+    tried = read_trials(trials)
+
     def lay_out() -> tuple[Plan, list[int], str]:
-        plan = Plan(fixed(sweep, selected), catalog, strict=True)
+        plan = SearchPlan(chosen, catalog, tried) if searching else Plan(chosen, catalog)
+        if isinstance(plan, SearchPlan):
+            require_room(plan, size)
+        shown = plan.probing() if isinstance(plan, SearchPlan) else plan
         # What was accepted once goes on: a catalog that has changed since must not stop a Sweep halfway.
-        problems = [] if accepted else plan_problems(plan)
+        problems = [] if accepted else plan_problems(shown)
         if problems:
             raise InputError("\n".join(problems))
-        return plan, plan.start_order(), "\n".join(plan.remarks())
+        return plan, [] if searching else plan.start_order(), "\n".join(shown.remarks())
 
     # In a thread: a plan of tens of thousands of points takes long enough for probes and watches to suffer.
     plan, order, remarks = await asyncio.to_thread(lay_out)
@@ -159,6 +178,7 @@ async def remember(
         started_at=moment(status.start_time),
         points=status.points,
         deletions=status.deleted or 0,
+        search=SearchMemory(plan, [trial_field(one) for one in tried]) if isinstance(plan, SearchPlan) else None,
     )
     there = {point_of(run) for run in live}
     if archive is not None:
@@ -207,6 +227,10 @@ def _recall(
                 succeeded = point.phase is Phase.SUCCEEDED
                 memory.states[point.index] = PointState.SUCCEEDED if succeeded else PointState.FAILED
                 ended.add(point.index)
+    if memory.search is not None:
+        records = archive.runs({"sweep_uid": uid})
+        while some := [*islice(records, _READ_AT_ONCE)]:
+            memory.search.note({one.index: one for one in some if one.index in ended})
     totals = archive.totals(uid, without)
     memory.archived.reused, memory.archived.evaluated = totals.reused, totals.evaluated
     memory.archived.cpu_seconds = totals.cpu_seconds
