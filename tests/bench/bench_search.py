@@ -93,7 +93,12 @@ class Course:
 def search(grid: KnownGrid, sampler: Sampler, method: str, seed: int, trials: int, **fields: Any) -> Course:
     """Return the course of a search of ours."""
     matrix: list[dict[str, Any]] = [{"path": path, "values": values} for path, values in grid.axes.items()]
-    asked = {"method": method, "objectives": [{"metric": "ate.rmse"}], "trials": trials, "seed": seed} | fields
+    asked = {
+        "method": method,
+        "objectives": [{"metric": "ate.rmse"}],
+        "trials": trials,
+        "seed": seed,
+    } | fields
     spec = {
         "template": {"spec": {"algorithmRef": {"name": "kiss-icp"}}},
         "matrix": [{"path": "dataset", "values": grid.datasets}, *matrix],
@@ -133,7 +138,9 @@ def alone(grid: KnownGrid, seed: int, trials: int) -> Course:
     """Return the course of Optuna's TPE, each of whose trials is run on all datasets."""
     optuna.logging.set_verbosity(optuna.logging.CRITICAL)
     study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed))
-    space = {path: optuna.distributions.IntDistribution(0, len(values) - 1) for path, values in grid.axes.items()}
+    space = {
+        path: optuna.distributions.IntDistribution(0, len(values) - 1) for path, values in grid.axes.items()
+    }
     course = Course()
     for _ in range(trials):
         trial = study.ask(space)

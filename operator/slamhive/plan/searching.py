@@ -187,7 +187,9 @@ class SearchSpace:
         """Lay out the seeking of thresholds: an axis, and a series for each combination of the others."""
         labels = [axis.label for axis in self.axes]
         if search.axis not in labels:
-            raise InputError(f"spec.search.axis: {search.axis} is one of search.across, nothing of it is sought")
+            raise InputError(
+                f"spec.search.axis: {search.axis} is one of search.across, nothing of it is sought"
+            )
         self.sought = labels.index(search.axis)
         self.ladder = Ladder(self.axes[self.sought], search.tolerance)
         for axis in self.axes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+from functools import partial
 from random import Random
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +32,7 @@ QUICK = {"evaluation": {"delaySeconds": 0.05}}
 
 
 class Dice:
-    """A sampler in this process, whose proposals follow from the number of the trial."""
+    """A sampler in this process that never proposes the same twice."""
 
     def __init__(self) -> None:
         self.asked: list[int] = []
@@ -45,7 +46,7 @@ class Dice:
         assert all(one.is_decided for one in standings[:told])
         self.asked.append(len(trials))
         low, high = space.axes[0].ends
-        return Trial(values=[Random(search.seed + len(trials)).uniform(low, high)], told=told)
+        return Trial(values=[Random(len(self.asked) - 1).uniform(low, high)], told=told)
 
 
 def search(trials: int = 4, retention: dict[str, Any] | None = None, **changes: Any) -> dict[str, Any]:
@@ -61,7 +62,8 @@ def search(trials: int = 4, retention: dict[str, Any] | None = None, **changes: 
         {"path": "parameters.size", "range": {"from": 0.5, "to": 4}},
         {"path": "dataset", "values": ["hall", "yard"]},
     ]
-    return sweep(matrix=axes, template={"evaluate": True}, search=given | changes, parallelism=4, retention=retention or {})
+    spec = {"matrix": axes, "search": given | changes, "parallelism": 4, "retention": retention or {}}
+    return sweep(template={"evaluate": True}, **spec)
 
 
 def error_of(run: dict[str, Any]) -> float:
@@ -111,6 +113,10 @@ def is_complete(status: dict[str, Any]) -> bool:
     return condition_of(status, "Complete").get("status") == "True"
 
 
+def has_decided(count: int, status: dict[str, Any]) -> bool:
+    return bool(status.get("search", {}).get("decided", 0) >= count)
+
+
 def sizes(status: dict[str, Any]) -> list[float]:
     return [trial["values"][0] for trial in status["search"]["trials"]]
 
@@ -155,9 +161,7 @@ async def test_what_is_tried_stays_the_same_whenever_the_operator_ends(
         for decided in (1, 2, 3):
             asked.append(Dice())
             async with lab.operator(archive, sampler=asked[-1], **QUICK) as op:
-                await status_of(
-                    op, Kind.SWEEP, "study", lambda found: found.get("search", {}).get("decided", 0) >= decided
-                )
+                await status_of(op, Kind.SWEEP, "study", partial(has_decided, decided))
         async with lab.operator(archive, sampler=dice, **QUICK) as op:
             status = await status_of(op, Kind.SWEEP, "study", is_complete)
             await until(lambda: not runs_of(op), "the runs to be retired")
@@ -168,3 +172,50 @@ async def test_what_is_tried_stays_the_same_whenever_the_operator_ends(
     assert lab.calls.count(("create", "mappingruns.slamhive.io")) == len(records)
     assert known is not None
     assert [trial.values for trial in known.trials] == [[size] for size in sizes(status)]
+
+
+class Killed(BaseException):
+    """Exception in the place of `kill -9`."""
+
+
+class Mortal:
+    """A fault hook: the operator dies when its first write to a Sweep, or of a run, was done."""
+
+    def __init__(self) -> None:
+        self.dead = False
+
+    def __call__(self, moment: str, verb: str, resource: str) -> None:
+        done = f"{verb} {resource}" in {"patch sweeps.slamhive.io/status", "create mappingruns.slamhive.io"}
+        self.dead = self.dead or (moment == "after" and done)
+        if self.dead:
+            raise Killed
+
+
+def is_over(op: Operator, mortal: Mortal) -> bool:
+    body = op.cluster.store.get(Key(Kind.SWEEP, "lab", "study"))
+    return mortal.dead or (body is not None and is_complete(body["status"]))
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+async def test_an_operator_that_dies_after_each_write_is_followed_by_one_that_goes_on(
+    make_search_lab: Callable[..., Lab],
+) -> None:
+    lab, dice, deaths = make_search_lab(), Dice(), 0
+    tried: list[list[float]] = []
+    lab.apply(search(trials=3))
+    status: dict[str, Any] = {}
+    while not is_complete(status):
+        mortal = Mortal()
+        async with lab.operator(fault=mortal, sampler=dice, **QUICK) as op:
+            await until(partial(is_over, op, mortal), "death, or the end")
+        deaths += mortal.dead
+        [body] = lab.cluster.of("Sweep", "lab")
+        status = body.get("status") or {}
+        tried += [sizes(status)] if "search" in status else []
+    runs = lab.cluster.of("MappingRun", "lab")
+    assert deaths > 3 + len(runs)
+    assert all(sizes(status)[: len(one)] == one for one in tried)
+    assert set(dice.asked) == {0, 1, 2}
+    assert lab.calls.count(("create", "mappingruns.slamhive.io")) <= len(runs)
+    assert status["succeeded"] == len(runs) == status["total"]

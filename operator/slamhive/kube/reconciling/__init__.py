@@ -23,9 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["reconcilers"]
 
 
-def reconcilers(
-    archive: Archive | None = None, sampler: Proposer | None = None
-) -> dict[Kind, Reconcile]:
+def reconcilers(archive: Archive | None = None, sampler: Proposer | None = None) -> dict[Kind, Reconcile]:
     """Return a fresh set of reconcilers by kind, which share what they know.
 
     Args:

@@ -231,7 +231,7 @@ class SweepReconciler:
             accepted = bool(holds(body["status"], "Accepted"))
             catalog = self._catalogue.all(cluster.store, key.namespace)
             memory = await remember(
-                *(sweep, SweepStatus.of(body), written_trials(body), catalog, live, self._archive),
+                *(sweep, body, catalog, live, self._archive),
                 accepted=accepted,
                 cluster=cluster.identity,
             )
@@ -605,7 +605,9 @@ def _figures(memory: SweepMemory, tally: SweepTally) -> SweepStatus:
     counts = {state: memory.states.count(state) for state in PointState}
     search = memory.search
     standing = None if search is None else search.standing(tally)
-    if search is not None:  # of runs that a search may have asked for, those that it doesn't ask for don't count
+    if (
+        search is not None
+    ):  # of runs that a search may have asked for, those that it doesn't ask for don't count
         counts[PointState.PENDING] = len(search.wanted(memory.states))
     total = sum(counts.values())
     done = counts[PointState.SUCCEEDED] + counts[PointState.FAILED]

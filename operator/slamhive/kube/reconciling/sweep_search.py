@@ -22,7 +22,14 @@ from slamhive.kube.records import record_of
 from slamhive.model.canonical import normalize
 from slamhive.model.errors import InputError
 from slamhive.model.search import Goal, Trial
-from slamhive.model.status import BEST_LENGTH, LIST_BYTES, MESSAGE_LENGTH, BestTrial, SearchStatus, trial_field
+from slamhive.model.status import (
+    BEST_LENGTH,
+    LIST_BYTES,
+    MESSAGE_LENGTH,
+    BestTrial,
+    SearchStatus,
+    trial_field,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -251,8 +258,8 @@ def read_trials(fields: Iterable[Object], first: int = 0) -> list[Trial]:
             trials.append(Trial.model_validate(item))
         except ValidationError:
             raise InputError(
-                f"status.search.trials[{number}]: {str(item)[:100]!r} is no trial as this version writes them; "
-                "runs are numbered by this list, so nothing goes on without it"
+                f"status.search.trials[{number}]: {str(item)[:100]!r} is no trial as this version writes "
+                "them; runs are numbered by this list, so nothing goes on without it"
             ) from None
     return trials
 
@@ -274,6 +281,6 @@ def require_room(plan: SearchPlan, taken: int) -> None:
     most, room = plan.most_trials, LIST_BYTES - taken
     if most * longest > room:
         raise InputError(
-            f"spec.search.trials: {most} settings of up to {longest} bytes each are more than the {room} bytes "
-            f"that a Sweep can note: at most {max(0, room // longest)} of these values are possible"
+            f"spec.search.trials: {most} settings of up to {longest} bytes each are more than the {room} "
+            f"bytes that a Sweep can note: at most {max(0, room // longest)} of these values are possible"
         )

@@ -19,11 +19,11 @@ from slamhive.kube.api.encoding import encode
 from slamhive.kube.api.kinds import annotations_of
 from slamhive.kube.reconciling.archiving import KeptRuns, in_thread
 from slamhive.kube.reconciling.sweep_runs import Finished, SweepTally, decode_points, point_of
-from slamhive.kube.reconciling.sweep_search import SearchMemory, read_trials, require_room
+from slamhive.kube.reconciling.sweep_search import SearchMemory, read_trials, require_room, written_trials
 from slamhive.kube.status import moment
-from slamhive.model.errors import InputError
+from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.results import Phase
-from slamhive.model.status import LIST_BYTES, AxisSelection, trial_field
+from slamhive.model.status import LIST_BYTES, AxisSelection, SweepStatus, trial_field
 from slamhive.plan import FixedCatalog, Plan, SearchPlan, plan_problems
 from slamhive.plan.catalog import select
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from slamhive.archive import Archive
     from slamhive.kube.api.kinds import Object
-    from slamhive.model.status import SweepStatus
+    from slamhive.model.search import Trial
     from slamhive.model.sweep import Axis, Sweep
 
 _READ_AT_ONCE = 500
@@ -120,8 +120,7 @@ def fixed(sweep: Sweep, selected: list[AxisSelection]) -> Sweep:
 
 async def remember(
     sweep: Sweep,
-    status: SweepStatus,
-    trials: list[Object],
+    body: Object,
     catalog: FixedCatalog,
     live: list[Object],
     archive: Archive | None,
@@ -133,8 +132,7 @@ async def remember(
 
     Args:
         sweep: the Sweep.
-        status: its status.
-        trials: what its search has tried, as the status holds it.
+        body: the same as the API holds it, with its status.
         catalog: Algorithms and Datasets of its namespace.
         live: its live runs.
         archive: where finished runs go.
@@ -145,6 +143,7 @@ async def remember(
         InputError: the plan is wrong, or the catalog does not allow it; one sentence a line.
         ArchiveAway: the archive does not answer.
     """
+    status = SweepStatus.of(body)
     selected = choose(sweep, catalog, status)
     if (size := len(encode([item.as_json() for item in selected]))) > LIST_BYTES:
         raise InputError(
@@ -153,7 +152,9 @@ async def remember(
         )
 
     chosen, searching = fixed(sweep, selected), sweep.spec.search.is_search
-    tried = read_trials(trials)
+    tried = read_trials(written_trials(body))
+    if searching and archive is not None and not tried:
+        tried = await in_thread(_tried, archive, sweep.metadata.uid or "")  # the status was lost
 
     def lay_out() -> tuple[Plan, list[int], str]:
         plan = SearchPlan(chosen, catalog, tried) if searching else Plan(chosen, catalog)
@@ -168,6 +169,9 @@ async def remember(
 
     # In a thread: a plan of tens of thousands of points takes long enough for probes and watches to suffer.
     plan, order, remarks = await asyncio.to_thread(lay_out)
+    search = None
+    if isinstance(plan, SearchPlan):
+        search = SearchMemory(plan, [trial_field(one) for one in tried])
     memory = SweepMemory(
         plan=plan,
         order=array("I", order),  # a tenth of a list's memory
@@ -178,7 +182,7 @@ async def remember(
         started_at=moment(status.start_time),
         points=status.points,
         deletions=status.deleted or 0,
-        search=SearchMemory(plan, [trial_field(one) for one in tried]) if isinstance(plan, SearchPlan) else None,
+        search=search,
     )
     there = {point_of(run) for run in live}
     if archive is not None:
@@ -189,6 +193,14 @@ async def remember(
         if state >= PointState.SUCCEEDED and index not in there
     }
     return memory
+
+
+def _tried(archive: Archive, uid: str) -> list[Trial]:
+    """Return the trials that the archive knows of a search; none where it doesn't know the Sweep."""
+    try:
+        return archive.change_search(uid, lambda known: known).trials
+    except UnknownNameError:
+        return []
 
 
 def _recall(
