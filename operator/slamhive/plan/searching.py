@@ -329,6 +329,25 @@ class Drawn:
         return self._rows[row]
 
 
+def plan_of(
+    sweep: Sweep,
+    catalog: Catalog,
+    trials: Sequence[Trial] = (),
+    *,
+    strict: bool = True,
+    uid: str | None = None,
+    findings: Findings | None = None,
+) -> Plan:
+    """Return the plan of a Sweep, of a search that of its trials so far; arguments as of these.
+
+    Raises:
+        InputError: the Sweep is wrong, or a trial doesn't fit it.
+    """
+    if sweep.spec.search.is_search:
+        return SearchPlan(sweep, catalog, trials, strict=strict, uid=uid, findings=findings)
+    return Plan(sweep, catalog, strict=strict, uid=uid, findings=findings)
+
+
 class SearchPlan(Plan):
     """The runs of a search: those of the trials so far.
 
@@ -405,12 +424,25 @@ class SearchPlan(Plan):
         self._drawn.draw(trial)
         self.trials.append(trial)
 
+    @property
+    def most_runs(self) -> int:
+        """Return the number of runs at most."""
+        return self.most_trials * self.space.block
+
     def probing(self) -> SearchPlan:
         """Return the plan of the settings that tell what of the Sweep is wrong before anything runs."""
+        return self.with_trials(self.space.probes())
+
+    def with_trials(self, trials: Sequence[Trial]) -> SearchPlan:
+        """Return the plan of other settings than those that are tried.
+
+        Raises:
+            InputError: one doesn't fit.
+        """
         return SearchPlan(
             self.sweep,
             FixedCatalog(self.algorithms, self.datasets),
-            self.space.probes(),
+            trials,
             strict=self.strict,
             uid=self.uid,
             findings=self.findings,
