@@ -86,8 +86,7 @@ class SweepMemory:
     @property
     def most_runs(self) -> int:
         """Return the number of runs at most."""
-        search = self.search
-        return search.plan.most_trials * search.plan.space.block if search else len(self.plan)
+        return self.search.plan.most_runs if self.search else len(self.plan)
 
 
 def choose(sweep: Sweep, catalog: FixedCatalog, status: SweepStatus) -> list[AxisSelection]:
