@@ -106,16 +106,12 @@ def run_problems(
     if problem:
         yield problem
     if mode is not None and dataset is not None:
-<<<<<<< HEAD
-        yield from role_problems(mode, dataset, options.get("remap", {}))
+        yield from role_problems(mode, dataset, options.get("remap", {}), options.get("preparedBy"))
         if algorithm is not None and options.get("perturb"):
             form = chosen_form(dataset, algorithm.spec.formats(mode))
             yield from perturbation_problems(options, dataset, mode.needs, form)
-=======
-        yield from role_problems(mode, dataset, options.get("remap", {}), options.get("preparedBy"))
     if dataset is not None:
         yield from program_problem(dataset, options.get("preparedBy"))
->>>>>>> h-prep
     lidar = options.get("lidar") or {}
     if lidar.get("minRange", 0) >= lidar.get("maxRange", float("inf")):
         yield "input.lidar: minRange must be below maxRange"
