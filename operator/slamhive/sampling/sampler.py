@@ -187,8 +187,10 @@ def _around(asked: Mapping[str, Any], found: Sequence[float]) -> Iterator[list[f
         yield list(setting)
         near: list[tuple[float, ...]] = []
         for place, (axis, value) in enumerate(zip(asked["axes"], setting, strict=True)):
+            if axis["kind"] == "real":
+                continue
             low, high = axis["low"], axis["high"]
-            steps = {"choice": range(low, high + 1), "integer": (value - 1, value + 1)}.get(axis["kind"], ())
+            steps = range(low, high + 1) if axis["kind"] == "choice" else (value - 1, value + 1)
             near += [(*setting[:place], one, *setting[place + 1 :]) for one in steps if low <= one <= high]
         fresh = [one for one in near if one not in seen]
         seen.update(fresh)
