@@ -167,7 +167,8 @@ export default function Studies() {
                     <${Choice}
                       label="Axis"
                       value=${set.axes ?? ''}
-                      options=${[['', 'those that were sought'], ...columnOptions(all, isSetting)]}
+                      options=${columnOptions(all, isSetting)}
+                      none="those that were sought"
                       error=${wrong('x')}
                       onChange=${(/** @type {string} */ axes) => change({ axes: axes || null })}
                     />
