@@ -348,6 +348,11 @@ def plan_of(
     return Plan(sweep, catalog, strict=strict, uid=uid, findings=findings)
 
 
+def probed(plan: Plan) -> Plan:
+    """Return the plan whose runs tell what of a Sweep is wrong: of a search, of settings at all its ends."""
+    return plan.probing() if isinstance(plan, SearchPlan) else plan
+
+
 class SearchPlan(Plan):
     """The runs of a search: those of the trials so far.
 
