@@ -97,7 +97,7 @@ def decide_threshold(
     wanted = tuple(index for one in judged for index in one.missing)
     seen = _by_series(space, trials, judged)
     turns = {
-        place: _turn(search, space.ladder, seen.get(space.key(series), {}))
+        place: _turn(search, space.ladder, seen.get(space.series_key(series), {}))
         for place, series in enumerate(space.series)
     }
     # What waits for results draws its next turn after them: no later one may be numbered before that.
@@ -123,7 +123,7 @@ def tallies(
     judged = [_judged(search, space, number, trial, runs) for number, trial in enumerate(trials)]
     seen = _by_series(space, trials, judged)
     return [
-        (series, [one.tally for _, one in sorted(seen.get(space.key(series), {}).items())])
+        (series, [one.tally for _, one in sorted(seen.get(space.series_key(series), {}).items())])
         for series in space.series
     ]
 
@@ -137,7 +137,7 @@ def _by_series(
         series, value = space.part(trial.values)
         rung = space.ladder.rung(value)
         if rung is not None:
-            found.setdefault(space.key(series), {}).setdefault(rung, one)
+            found.setdefault(space.series_key(series), {}).setdefault(rung, one)
     return found
 
 

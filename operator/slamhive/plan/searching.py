@@ -302,6 +302,10 @@ class SearchSpace:
         place = self.sought
         return (*values[:place], *values[place + 1 :]), values[place]
 
+    def series_key(self, series: Sequence[Any]) -> str:
+        """Return a text that is equal for equal values on the axes besides the sought one."""
+        return _key(list(series))
+
     def joined(self, series: Sequence[Any], value: Any) -> list[Any]:
         """Return the values on all axes: the inverse of ``part``."""
         return [*series[: self.sought], value, *series[self.sought :]]
