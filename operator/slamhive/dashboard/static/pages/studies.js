@@ -169,7 +169,7 @@ export default function Studies() {
                       value=${set.axes ?? ''}
                       options=${columnOptions(all, isSetting)}
                       none="those that were sought"
-                      error=${wrong('x')}
+                      error=${wrong('axes')}
                       onChange=${(/** @type {string} */ axes) => change({ axes: axes || null })}
                     />
                   `
