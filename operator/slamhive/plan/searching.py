@@ -210,7 +210,8 @@ class SearchSpace:
         """Lay out the seeking of thresholds: an axis, and a series for each combination of the others."""
         labels = [axis.label for axis in self.axes]
         self.sought = labels.index(search.axis or "")
-        self.ladder = Ladder(self.axes[self.sought], search.tolerance)
+        sought = self.axes[self.sought]
+        self.ladder = Ladder(sought.dimension, search.tolerance, is_integer=sought.is_integer)
         for axis in self.axes:
             if axis.ends is not None and axis.label != search.axis:
                 raise InputError(
