@@ -176,7 +176,7 @@ def _apart_from(frame: Frame, axis: str, axes: Sequence[str], wish: RobustnessWi
         for name, search in wish.searches.items()
         if not wish.axes and search.axis in axes and search.axis != axis
     ]
-    inside = np.ones(len(frame), dtype=bool)
+    inside: Mask = np.ones(len(frame), dtype=bool)
     for name in others:
         inside &= ~where_equal(frame, "sweep", name)
     return inside

@@ -247,12 +247,11 @@ def _widest(ladder: Ladder, rungs: Sequence[int]) -> tuple[int, ...]:
 def _standing(number: int, one: _Judged) -> TrialStanding:
     is_done = not one.missing
     is_known = one.tally.known > 0
+    unknown = "nothing is known of its runs: the machine failed, or the measuring"
     return TrialStanding(
         number,
-        [Score(one.tally.share, ())] if is_known else [],
-        one.runs,
-        "nothing is known of its runs: the machine failed, or the measuring"
-        if is_done and not is_known
-        else None,
+        scores=[Score(one.tally.share, ())] if is_known else [],
+        runs=one.runs,
+        dropped=unknown if is_done and not is_known else None,
         is_complete=is_done and is_known,
     )
