@@ -15,7 +15,7 @@ from slamhive.plan.hashes import (
 )
 from slamhive.plan.images import image_digest, pinned_digest
 from slamhive.plan.resolution import resolve
-from slamhive.plan.searching import SearchPlan, SearchSpace, plan_of
+from slamhive.plan.searching import SearchPlan, SearchSpace, plan_of, probed
 
 __all__ = [
     "Catalog",
@@ -34,6 +34,7 @@ __all__ = [
     "pinned_digest",
     "plan_of",
     "plan_problems",
+    "probed",
     "recording_fields",
     "resolve",
     "run_configuration",
