@@ -131,6 +131,7 @@ class ReusableRuns:
             description["datasetSha256"],
             str(description["preparationVersion"]),
             image,
+            description.get("preparedBy"),
         )
 
     @staticmethod
