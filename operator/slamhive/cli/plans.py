@@ -127,8 +127,7 @@ def validate(files: Files) -> None:
 
 def remark_without_effect(sweep: Sweep, points: Plan) -> None:
     """Say which settings have no effect on some of the recordings."""
-    own = searches.remarks(points) if isinstance(points, SearchPlan) else []
-    for told in [*own, *probed(points).remarks()]:
+    for told in probed(points).remarks():
         remark(f"{sweep.name}: {told}")
 
 
@@ -148,7 +147,8 @@ def _print_outlooks(plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop) -> 
             looking = Looking(Workbench(home, workshop, archive), making=False)
             for sweep, points in plans:
                 job = Job(sweep, local_uid(sweep), points)
-                told = sentences(looking.look(sweep.name, job.uid, points, job.run_uid), points)
+                found = looking.look(sweep.name, job.uid, points, job.run_uid)
+                told = sentences(found, points, tells_new=job.search is None)
                 told = told or ["nothing of it was tried yet"]
                 out.print(f"{sweep.name}: {'; '.join(told)}", markup=False)
     except SlamHiveError as error:
