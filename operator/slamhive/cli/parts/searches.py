@@ -64,8 +64,10 @@ def fewest_runs(plan: SearchPlan) -> int | None:
     return plan.most_trials * len(first)
 
 
-def extent_text(plan: SearchPlan) -> str:
-    """Return how much a search may try and run."""
+def extent_text(plan: Plan) -> str:
+    """Return how many runs there are, of a search how much it may try and run."""
+    if not isinstance(plan, SearchPlan):
+        return plural(len(plan), "run")
     space, search = plan.space, plan.sweep.spec.search
     fewest, most = fewest_runs(plan), plural(plan.most_runs, "run")
     runs = f"at most {most}" if fewest is None else f"at least {fewest:,} and at most {most}"
