@@ -73,7 +73,7 @@ class SweepTotals:
 
 
 def total(record: SweepRecord) -> int | None:
-    """Return the number of runs that a sweep was asked for, of a search at most; None where nothing says it."""
+    """Return the number of runs that a sweep was asked for, of a search at most; None where none is said."""
     if not record.spec:
         return None
     try:
