@@ -16,6 +16,7 @@ from pydantic.alias_generators import to_camel
 from slamhive.model.algorithm import TEXT_LIMIT, Pace
 from slamhive.model.formats import FIRST_CAMERAS, HELD, DataFormat, holds
 from slamhive.model.run import OF_ROLES
+from slamhive.model.search import SearchMethod
 from slamhive.model.sensors import ROLES, Role, SensorMode
 from slamhive.model.sweep import MAX_POINTS
 from slamhive.model.synthetic import NOMINAL_LAP_METRES, REST_SECONDS, SyntheticSensor
@@ -51,6 +52,7 @@ def _holding(form: DataFormat) -> str:
 _BAGS = _texts(form for form in DataFormat if not form.is_folder)
 _FOLDERS = " || ".join(_holding(form) for form in DataFormat if form.is_folder)
 
+_SAMPLED = f"self.method in {_texts(method for method in SearchMethod if method.is_sampled)}"
 _KEYS_ARE_ROLES = f"its keys are roles: {_ROLES.replace(chr(39), '')}"
 _OF_ROLES = [to_camel(field) for field in OF_ROLES]
 _NODE = "has(self.ros1) || has(self.ros2)"
@@ -219,12 +221,42 @@ RULES: dict[str, tuple[Rule, ...]] = {
         ),
     ),
     "Range": (
-        ("has(self.step) != has(self.count)", "step: give either step or count"),
+        ("!has(self.step) || !has(self.count)", "step: give either step or count"),
         (
-            "self.scale != 'Log' || (has(self.count) && self.from > 0.0 && self.to > 0.0)",
+            "self.scale != 'Log' || (!has(self.step) && self.from > 0.0 && self.to > 0.0)",
             "scale: Log needs count, and from and to above zero",
         ),
-        ("!has(self.step) || self.to >= self.from", "to: must not be below from"),
+        ("has(self.count) || self.to >= self.from", "to: must not be below from"),
+    ),
+    "TrialRepetitions": (("self.first <= self.promote", "promote: must not be less than first"),),
+    "Failing": (
+        (
+            "has(self.metric) || (!has(self.above) && !has(self.below))",
+            "metric: needed beside above and below",
+        ),
+        ("!has(self.metric) || !has(self.outcome)", "outcome: give either outcome or metric"),
+        (
+            "!has(self.metric) || has(self.above) != has(self.below)",
+            "above: a metric needs either above or below",
+        ),
+    ),
+    "Search": (
+        (f"!({_SAMPLED}) || has(self.trials)", "trials: needed by this method"),
+        (f"!({_SAMPLED}) || size(self.objectives) > 0", "objectives: needed by this method"),
+        (f"{_SAMPLED} || !has(self.trials)", "trials: means nothing to this method"),
+        (f"{_SAMPLED} || size(self.objectives) == 0", "objectives: means nothing to this method"),
+        ("self.method == 'Threshold' || !has(self.axis)", "axis: only the method Threshold takes it"),
+        ("self.method != 'Threshold' || has(self.axis)", "axis: needed by the method Threshold"),
+    ),
+    "SweepSpec": (
+        (
+            f"!({_SAMPLED.replace('self', 'self.search')}) || self.repetitions == 1",
+            "repetitions: a search has its own, search.repetitions; give them in one place alone",
+        ),
+        (
+            "self.search.method == 'Grid' || size(self.include) == 0",
+            "include: a search adds no points; make them values of an axis",
+        ),
     ),
     "Axis": (
         ("has(self.path) || has(self.points)", "path: needed with values, range and selector"),

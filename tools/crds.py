@@ -26,7 +26,7 @@ from crd_rules import (
 from pydantic import BaseModel
 
 from slamhive.model.base import GROUP, NAME_LIMIT, QUANTITY_PATTERN, VERSION, meaning
-from slamhive.model.loading import FROZEN, KINDS
+from slamhive.model.loading import FROZEN, GROWING, KINDS
 from slamhive.model.run import MappingRunSpec
 from slamhive.model.status import KEEP, STATUSES
 
@@ -227,11 +227,28 @@ def _freeze(kind: str, spec: Schema) -> None:
     if fields is None:
         rules.append({"rule": "self == oldSelf", "message": f"spec: {text}"})
         return
+    growing = [way.partition(".") for way in GROWING.get(kind, ())]
     for name in fields:
-        same = f"self.{name} == oldSelf.{name}"
-        if name not in spec.get("required", []):
-            same = f"has(self.{name}) == has(oldSelf.{name}) && (!has(self.{name}) || {same})"
-        rules.append({"rule": same, "message": f"{name}: {text}", "fieldPath": f".{name}"})
+        inside = {field for whole, _, field in growing if whole == name}
+        if not inside:
+            rules.append(_same(spec, name, text))
+            continue
+        # Each field of it alone, so that one of them may change.
+        record = spec["properties"][name]
+        record.setdefault("x-kubernetes-validations", []).extend(
+            _same(record, field, "may only be raised once created", "self.{0} >= oldSelf.{0}")
+            if field in inside
+            else _same(record, field, text)
+            for field in record["properties"]
+        )
+
+
+def _same(record: Schema, name: str, text: str, relation: str = "self.{0} == oldSelf.{0}") -> Schema:
+    """Return the rule that a field of a record is as it was, or related to that."""
+    rule = relation.format(name)
+    if name not in record.get("required", []):
+        rule = f"has(self.{name}) == has(oldSelf.{name}) && (!has(self.{name}) || {rule})"
+    return {"rule": rule, "message": f"{name}: {text}", "fieldPath": f".{name}"}
 
 
 def definition(kind: str) -> Schema:

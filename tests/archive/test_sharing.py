@@ -13,7 +13,6 @@ from slamhive.kube.reconciling.sweep_state import remember
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.dataset import Dataset
 from slamhive.model.results import CpuUsage, MemoryUsage, Phase, Usage
-from slamhive.model.status import SweepStatus
 from slamhive.model.sweep import Sweep
 from slamhive.plan import FixedCatalog
 from slamhive.tables.reading import read_archive
@@ -60,9 +59,7 @@ async def recalled(url: str, place: tuple[str | None, str | None]) -> SweepMemor
     """Return the memory of its Sweep that an operator which starts in a place has from the archive."""
     catalog = FixedCatalog({"icp": ALGORITHM}, {"hall": DATASET})
     with Archive.open(url) as archive:
-        return await remember(
-            a_sweep(place), SweepStatus(), catalog, {}, archive, accepted=True, cluster=place[0]
-        )
+        return await remember(a_sweep(place), {}, catalog, [], archive, accepted=True, cluster=place[0])
 
 
 async def test_sweeps_are_told_apart_by_uid_in_a_shared_archive(url: str, make_run: MakeRun) -> None:

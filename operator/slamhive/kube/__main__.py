@@ -30,6 +30,7 @@ from slamhive.kube.operator import Operator
 from slamhive.kube.reconciling import reconcilers
 from slamhive.kube.settings import Settings, load
 from slamhive.model.errors import InputError, SlamHiveError, SystemFault
+from slamhive.sampling import Sampler
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -72,7 +73,8 @@ async def run(settings: Settings, archive: Archive | None = None, kubeconfig: Pa
     """
     api = await Api.connect(kubeconfig)
     cluster = Cluster(api, settings)
-    op = Operator(cluster, reconcilers(archive))
+    sampler = Sampler()
+    op = Operator(cluster, reconcilers(archive, sampler))
     health = HealthServer(op, settings.health.port)
     try:
         await _listen(cluster, health)
@@ -88,6 +90,7 @@ async def run(settings: Settings, archive: Archive | None = None, kubeconfig: Pa
         # What kopf leaves half-read when its watches are cancelled is of no interest any more.
         logging.getLogger("asyncio").setLevel(logging.CRITICAL)
         await op.stop()
+        sampler.close()
         await health.stop()
         await api.close()
         if archive is not None:

@@ -160,8 +160,19 @@ def metres(value: float) -> str:
 
 
 def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the merge patch that turns the named fields of a status into what they shall be."""
-    return {key: value for key, value in after.items() if before.get(key) != value}
+    """Return the merge patch that turns the named fields of a status into what they shall be.
+
+    Of a record in it only the fields that change: others may be long.
+    """
+    patch = {}
+    for key, value in after.items():
+        known = before.get(key)
+        if isinstance(known, dict) and isinstance(value, dict):
+            if inner := changes(known, value):
+                patch[key] = inner
+        elif known != value:
+            patch[key] = value
+    return patch
 
 
 def status_patch(

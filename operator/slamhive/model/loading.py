@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FROZEN",
+    "GROWING",
     "KINDS",
     "Document",
     "Judged",
@@ -61,6 +62,9 @@ FROZEN: dict[str, tuple[str, ...] | None] = {
     "Sweep": IMMUTABLE,
 }
 """Fields of a kind's spec that may not change, None for all of them."""
+
+GROWING: dict[str, tuple[str, ...]] = {"Sweep": ("search.trials",)}
+"""Numbers inside of these that may be raised all the same."""
 
 
 def load_file(path: Path) -> list[Kind]:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, ValidationError, WithJsonSchema
+from pydantic import ConfigDict, Field, ValidationError, WithJsonSchema, field_serializer
 
 from slamhive.model.base import Choice, Model, optional
 from slamhive.model.reported import MOST_RPE, ErrorFigures
 from slamhive.model.results import Frames, Outcome, Phase, Provenance, TrajectoryInfo, Usage
+from slamhive.model.search import MAX_TRIALS, Trial
 from slamhive.model.sweep import MAX_POINTS
 
 if TYPE_CHECKING:
@@ -237,6 +238,45 @@ class BestRun(_Item):
     dataset: _Line | None = optional("Its dataset.")
 
 
+class BestTrial(_Item):
+    """A setting of a search that no other one betters in all that is asked."""
+
+    number: _Count = Field(description="Its place in the list of trials.")
+    values: list[Any] = Field(
+        default_factory=list, max_length=32, description="Its value on each searched axis."
+    )
+    figures: list[float] = Field(
+        default_factory=list, max_length=2, description="Its figure for each objective, over all its runs."
+    )
+    failed: float | None = optional("Share of its runs that failed.")
+
+
+class SearchStatus(_Item):
+    """What a search has tried, and how far it is."""
+
+    trials: list[Trial] | None = optional(
+        "Settings that are tried, by number; what stands here is never drawn anew.", max_length=MAX_TRIALS
+    )
+    asked: _Count | None = optional("Number of settings that are tried so far.")
+    decided: _Count | None = optional("Number of settings that get no further runs.")
+    most: _Count | None = optional("Number of settings at most.")
+    spared: _Count | None = optional("Number of runs whose results were known before.")
+    best: list[BestTrial] | None = optional(
+        "Settings that no other one betters, the best of the first objective first.", max_length=BEST_LENGTH
+    )
+    message: _Text | None = optional("How it ended, or what keeps it from going on.")
+
+    @field_serializer("trials")
+    def _short(self, trials: list[Trial] | None) -> list[dict[str, Any]] | None:
+        # Thousands of them are written and read again with each further one.
+        return None if trials is None else [trial_field(trial) for trial in trials]
+
+
+def trial_field(trial: Trial) -> dict[str, Any]:
+    """Return a trial as an item of ``status.search.trials``, without what is as usual."""
+    return trial.model_dump(mode="json", by_alias=True, exclude_defaults=True) | {"values": trial.values}
+
+
 class SweepStatus(Status):
     """Status of a Sweep: phase, counts of its runs, and the best of them."""
 
@@ -249,7 +289,9 @@ class SweepStatus(Status):
     evaluated: _Count | None = optional("Number of runs: evaluated.")
     deleted: _Count | None = optional("Number of runs that somebody deleted.")
     phase: str | None = optional("Where the Sweep stands, for printing.", max_length=32)
-    progress: str | None = optional("Runs that are done, of all.", max_length=32)
+    progress: str | None = optional(
+        "Runs that are done, of all; of a search the settings that are decided.", max_length=32
+    )
     display: SweepDisplay | None = optional("Figures as kubectl prints them.")
     cpu_seconds: float | None = optional("CPU time of all finished runs in s.")
     selected: list[AxisSelection] = Field(
@@ -267,6 +309,7 @@ class SweepStatus(Status):
         max_length=MAX_POINTS // 2,
         json_schema_extra={"format": "byte"},
     )
+    search: SearchStatus | None = optional("What a search has tried, and how far it is.")
     start_time: _Time | None = optional("When the first run or attempt started.")
     completion_time: _Time | None = optional("When it had finished.")
 

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from testcluster.kwok import Pool
 
     from slamhive.archive import Archive
+    from slamhive.kube.reconciling.sweep_search import Proposer
 
 SECONDS = 120.0
 API_VERSION = "slamhive.io/v1alpha1"
@@ -169,11 +170,12 @@ class Lab:
         archive: Archive | None = None,
         fault: Callable[[str, str, str], None] | None = None,
         clock: Callable[[], float] = time.time,
+        sampler: Proposer | None = None,
         **settings: Any,
     ) -> AsyncIterator[Operator]:
         """Run an operator as long as the context lasts."""
         api = await Api.connect(self.cluster.kubeconfig, fault=fault)
-        op = Operator(cluster.Cluster(api, self.settings(**settings), clock), reconcilers(archive))
+        op = Operator(cluster.Cluster(api, self.settings(**settings), clock), reconcilers(archive, sampler))
         count = api.count
 
         def counted(verb: str, resource: str, code: str) -> None:

@@ -18,22 +18,24 @@ if TYPE_CHECKING:
     from slamhive.archive import Archive
     from slamhive.kube.cluster import Cluster
     from slamhive.kube.loop import Reconcile
+    from slamhive.kube.reconciling.sweep_search import Proposer
 
 __all__ = ["reconcilers"]
 
 
-def reconcilers(archive: Archive | None = None) -> dict[Kind, Reconcile]:
+def reconcilers(archive: Archive | None = None, sampler: Proposer | None = None) -> dict[Kind, Reconcile]:
     """Return a fresh set of reconcilers by kind, which share what they know.
 
     Args:
         archive: where finished runs are kept, if anywhere.
+        sampler: proposes what searches try; default: one that nobody else uses.
     """
     catalogue = Catalogue()
     reusable = ReusableRuns(catalogue, archive)
     evaluations = Evaluations(catalogue)
     keeper = Keeper(catalogue, archive) if archive is not None else None
     runs = RunReconciler(catalogue, evaluations, reusable, keeper)
-    sweeps = SweepReconciler(catalogue, archive)
+    sweeps = SweepReconciler(catalogue, archive, sampler)
     datasets = DatasetReconciler()
 
     async def wake(cluster: Cluster, key: Key) -> float | None:

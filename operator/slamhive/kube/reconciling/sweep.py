@@ -48,12 +48,15 @@ from slamhive.kube.reconciling.sweep_runs import (
     standing_still,
     state_of,
 )
+from slamhive.kube.reconciling.sweep_search import Asker, written_trials
 from slamhive.kube.reconciling.sweep_state import SweepMemory, remember
 from slamhive.kube.status import condition, holds, iso, metres, moment, phase_of, status_patch
 from slamhive.model.base import seconds
-from slamhive.model.errors import InputError
-from slamhive.model.status import SweepDisplay, SweepStatus
+from slamhive.model.errors import InputError, SystemFault
+from slamhive.model.search import SearchRecord
+from slamhive.model.status import SearchStatus, SweepDisplay, SweepStatus
 from slamhive.model.sweep import Sweep
+from slamhive.sampling import Sampler
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -61,6 +64,7 @@ if TYPE_CHECKING:
     from slamhive.archive import Archive
     from slamhive.kube.cluster import Cluster
     from slamhive.kube.reconciling.catalogue import Catalogue
+    from slamhive.kube.reconciling.sweep_search import Proposer
 
 
 _LOOK_SECONDS = 0.1
@@ -107,11 +111,15 @@ class SweepReconciler:
     Args:
         catalogue: Algorithms and Datasets.
         archive: where finished runs are kept, if anywhere.
+        sampler: proposes what searches try; default: one that nobody else uses.
     """
 
-    def __init__(self, catalogue: Catalogue, archive: Archive | None = None) -> None:
+    def __init__(
+        self, catalogue: Catalogue, archive: Archive | None = None, sampler: Proposer | None = None
+    ) -> None:
         self._catalogue = catalogue
         self._archive = archive
+        self._asker = Asker(sampler or Sampler())
         self._keeper = Keeper(catalogue, archive) if archive is not None else None
         self._memory: dict[str, SweepMemory] = {}
         self._parsed: dict[str, tuple[int, Sweep]] = {}
@@ -159,6 +167,10 @@ class SweepReconciler:
         if now - memory.looked_at < pause:
             return pause
         memory.looked_at = now
+        search = memory.search
+        if search is not None and not search.catch_up(written_trials(body), memory.states):
+            del self._memory[body["metadata"]["uid"]]
+            return _LOOK_SECONDS
         seen = await self._take_picture(cluster, key, body, sweep, memory)
         if _is_outdated(seen):
             del self._memory[body["metadata"]["uid"]]
@@ -211,12 +223,15 @@ class SweepReconciler:
 
     async def _remembered(self, cluster: Cluster, key: Key, body: Object, sweep: Sweep) -> SweepMemory:
         uid = body["metadata"]["uid"]
+        known = self._memory.get(uid)
+        if known is not None and known.search is not None and known.search.search != sweep.spec.search:
+            del self._memory[uid]  # it is to try more
         if uid not in self._memory:
             live = [run for run in _own(cluster, key, uid) if point_of(run) is not None]
             accepted = bool(holds(body["status"], "Accepted"))
             catalog = self._catalogue.all(cluster.store, key.namespace)
             memory = await remember(
-                *(sweep, SweepStatus.of(body), catalog, live, self._archive),
+                *(sweep, body, catalog, live, self._archive),
                 accepted=accepted,
                 cluster=cluster.identity,
             )
@@ -225,9 +240,9 @@ class SweepReconciler:
             made = (moment(run["metadata"].get("creationTimestamp")) for run in _own(cluster, key, uid))
             memory.started_at = memory.started_at or min(filter(None, made), default=None)
             most = cluster.settings.max_runs_without_archive
-            if self._archive is None and len(memory.plan) > most:
+            if self._archive is None and memory.most_runs > most:
                 raise InputError(
-                    f"spec.matrix: {len(memory.plan)} runs need an archive, without one at most {most} are "
+                    f"spec.matrix: {memory.most_runs} runs need an archive, without one at most {most} are "
                     "allowed: their objects would fill the cluster; set archive.existingSecret in the chart"
                 )
             self._memory[uid] = memory
@@ -252,6 +267,8 @@ class SweepReconciler:
                     memory.finished[index] = Finished.of(run)
         tally = replace(memory.archived)
         tally.add(*memory.finished.values(), *memory.deleted.values())
+        if memory.search is not None:
+            memory.search.look(memory.finished, runs, memory.states)
         return _SweepPicture(key, body, sweep, memory, runs, tally)
 
     async def _look_for_missing(
@@ -289,24 +306,19 @@ class SweepReconciler:
         memory, sweep = seen.memory, seen.sweep
         leaving = _leaving(cluster, seen)
         window = sweep.spec.parallelism or cluster.settings.default_parallelism
-        observed = SweepObserved(
-            states=memory.states,
-            order=memory.order,
-            parallelism=max(0, window - len(leaving)),
-            started_at=memory.started_at,
-            cpu_seconds=seen.tally.cpu_seconds,
-            cursor=memory.cursor,
-            twins=memory.plan.twins,
-        )
-        decision = decide_sweep(sweep.spec, observed, now)
-        memory.cursor = decision.cursor
+        room = max(0, window - len(leaving))
+        decision = _decide(seen, room, now)
         unmade: str | None = None
+        if memory.search is not None and decision.verdict is Verdict.RUNNING:
+            seen, unmade = await self._try_further(cluster, seen)
+            decision = _decide(seen, room, now)
+        memory.cursor = decision.cursor
         for action in decision.actions:
             match action:
                 case StartPoints() if self._is_held_back(seen, window):
                     pass
                 case StartPoints(indices):
-                    unmade = self._backlog(cluster, seen, window)
+                    unmade = unmade or self._backlog(cluster, seen, window)
                     unmade = unmade or await self._start(cluster, seen, indices, now)
                 case StopPoints(indices):
                     await self._cancel(cluster, [seen.runs[index] for index in indices if index in seen.runs])
@@ -329,6 +341,25 @@ class SweepReconciler:
                 del self._archive_away[seen.body["metadata"]["uid"]]
                 delays.append(_LOOK_SECONDS)
         return min(delays, default=None)
+
+    async def _try_further(self, cluster: Cluster, seen: _SweepPicture) -> tuple[_SweepPicture, str | None]:
+        """Write down what a search tries next, before any run of it; returns what keeps it from that."""
+        memory, search = seen.memory, seen.memory.search
+        if search is None:
+            return seen, None
+        try:
+            fresh = await self._asker.further(search)
+        except (InputError, SystemFault) as error:
+            return seen, str(error)
+        if not fresh and written_trials(seen.body) == search.fields:
+            return seen, None
+        trials = [*search.plan.trials, *fresh]
+        # Checked: of two operators that ask at a time one writes, and the other goes on with what that wrote.
+        status = SweepStatus(search=SearchStatus(trials=trials, asked=len(trials)))
+        body = await cluster.write_status(Kind.SWEEP, seen.body, status) or seen.body
+        for trial in fresh:
+            search.draw(trial, memory.states)
+        return replace(seen, body=body), None
 
     def _is_held_back(self, seen: _SweepPicture, window: int) -> bool:
         """Tell whether finished runs wait for an archive that is away: more would fill the cluster."""
@@ -445,9 +476,21 @@ class SweepReconciler:
                 await self._keeper.forget(uid for index in points for uid in seen.memory.replaced[index])
                 for index in points:
                     del seen.memory.replaced[index]
+                await self._copy_search(seen)
         except ArchiveAway as error:
             return error
         return None
+
+    async def _copy_search(self, seen: _SweepPicture) -> None:
+        """Have the archive know what a search has tried, for those who look there."""
+        search, archive = seen.memory.search, self._archive
+        if search is None or archive is None:
+            return
+        news = len(search.plan.trials), seen.tally.reused
+        if news != search.copied:
+            record = SearchRecord(trials=[*search.plan.trials], spared=news[1])
+            await in_thread(archive.put_search, seen.body["metadata"]["uid"], record)
+            search.copied = news
 
     @staticmethod
     async def _announce_phase(cluster: Cluster, before: Object, after: Object) -> None:
@@ -455,7 +498,8 @@ class SweepReconciler:
         if phase == was or phase in {None, "Pending", "Evaluating"}:
             return
         bad = phase in {Verdict.TOO_MANY_FAILURES, Verdict.BUDGET_EXHAUSTED}
-        text = f"{after['status'].get('progress')} runs done"
+        done = after["status"].get("progress")
+        text = f"{done} done" if "search" in after["status"] else f"{done} runs done"
         await cluster.api.event(Kind.SWEEP, after, "Warning" if bad else "Normal", str(phase), text)
 
     @staticmethod
@@ -524,6 +568,33 @@ def _leaving(cluster: Cluster, seen: _SweepPicture) -> list[Mapping[str, Any]]:
     return [pod for pod in live_pods(pods) if labels_of(pod).get(Label.RUN) not in active]
 
 
+def _decide(seen: _SweepPicture, room: int, now: float) -> SweepDecision:
+    """Decide what is started and stopped now, with room for so many runs in flight."""
+    memory, search = seen.memory, seen.memory.search
+    observed = SweepObserved(
+        states=memory.states,
+        order=memory.order,
+        parallelism=room,
+        started_at=memory.started_at,
+        cpu_seconds=seen.tally.cpu_seconds,
+        cursor=memory.cursor,
+        twins=memory.plan.twins,
+    )
+    if search is None:
+        return decide_sweep(seen.sweep.spec, observed, now)
+    wanted = search.wanted(memory.states)
+    observed = replace(
+        observed,
+        order=wanted,
+        cursor=0,
+        left_out=memory.states.count(PointState.PENDING) - len(wanted),
+        is_open=not search.decision.is_over,
+    )
+    decision = decide_sweep(seen.sweep.spec, observed, now)
+    is_over = decision.verdict is Verdict.COMPLETE
+    return replace(decision, message=search.decision.message) if is_over else decision
+
+
 def _budget_left(sweep: Sweep, memory: SweepMemory, now: float) -> float:
     """Return after how many seconds to look at the budget of time again."""
     end = (memory.started_at or now) + seconds(sweep.spec.budget.wall_time or "0s")
@@ -532,7 +603,13 @@ def _budget_left(sweep: Sweep, memory: SweepMemory, now: float) -> float:
 
 def _figures(memory: SweepMemory, tally: SweepTally) -> SweepStatus:
     counts = {state: memory.states.count(state) for state in PointState}
-    total = len(memory.states)
+    search = memory.search
+    standing = None if search is None else search.standing(tally)
+    if (
+        search is not None
+    ):  # of runs that a search may have asked for, those that it doesn't ask for don't count
+        counts[PointState.PENDING] = len(search.wanted(memory.states))
+    total = sum(counts.values())
     done = counts[PointState.SUCCEEDED] + counts[PointState.FAILED]
     status = SweepStatus(
         total=total,
@@ -543,13 +620,15 @@ def _figures(memory: SweepMemory, tally: SweepTally) -> SweepStatus:
         reused=tally.reused,
         evaluated=tally.evaluated,
         cpu_seconds=round(tally.cpu_seconds, 3),
-        progress=f"{done}/{total}",
+        progress=f"{done}/{total}" if standing is None else f"{standing.decided}/{standing.most} trials",
         best=tally.best,
         points=encode_points(memory.states),
         deleted=memory.deletions or None,
     )
     if tally.best:
         status |= SweepStatus(display=SweepDisplay(ate=metres(tally.best[0].ate)))
+    if standing is not None:
+        status |= SweepStatus(search=standing)
     return status | SweepStatus(selected=memory.selected) if memory.selected else status
 
 

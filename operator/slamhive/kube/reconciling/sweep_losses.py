@@ -50,6 +50,8 @@ async def take_out(
     for index in gone:
         # Their CPU time and results still count: for budgets, and for `best`.
         run = await at_its_end(archive, memory.finished[index].run)
+        if memory.search is not None:
+            memory.search.note_gone(index, run)
         uid = run["metadata"]["uid"]
         retired, kept = uid in memory.kept.retired, uid in memory.kept.versions
         if not kept and not retired and archive is not None:

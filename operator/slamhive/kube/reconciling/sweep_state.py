@@ -10,6 +10,7 @@ import asyncio
 from array import array
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from slamhive.archive import SweepRecord
@@ -18,11 +19,12 @@ from slamhive.kube.api.encoding import encode
 from slamhive.kube.api.kinds import annotations_of
 from slamhive.kube.reconciling.archiving import KeptRuns, in_thread
 from slamhive.kube.reconciling.sweep_runs import Finished, SweepTally, decode_points, point_of
+from slamhive.kube.reconciling.sweep_search import SearchMemory, read_trials, require_room, written_trials
 from slamhive.kube.status import moment
-from slamhive.model.errors import InputError
+from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.results import Phase
-from slamhive.model.status import LIST_BYTES, AxisSelection
-from slamhive.plan import FixedCatalog, Plan, plan_problems
+from slamhive.model.status import LIST_BYTES, AxisSelection, SweepStatus, trial_field
+from slamhive.plan import FixedCatalog, Plan, SearchPlan, plan_problems
 from slamhive.plan.catalog import select
 
 if TYPE_CHECKING:
@@ -30,9 +32,10 @@ if TYPE_CHECKING:
 
     from slamhive.archive import Archive
     from slamhive.kube.api.kinds import Object
-    from slamhive.model.status import SweepStatus
+    from slamhive.model.search import Trial
     from slamhive.model.sweep import Axis, Sweep
 
+_READ_AT_ONCE = 500
 _KINDS = {"algorithm": "algorithm", "dataset": "dataset"}
 
 
@@ -58,6 +61,7 @@ class SweepMemory:
         deleted: of these the finished ones, by point, unless that was done again.
         replaced: UIDs of runs that were deleted and are done again, by point: their records go then.
         lost: points that are done, of whose runs neither object nor record is left.
+        search: what is remembered of its search, where it is one; ``order`` is empty then.
     """
 
     plan: Plan
@@ -77,6 +81,12 @@ class SweepMemory:
     deleted: dict[int, Finished] = field(default_factory=dict)
     replaced: dict[int, set[str]] = field(default_factory=dict)
     lost: set[int] = field(default_factory=set)
+    search: SearchMemory | None = None
+
+    @property
+    def most_runs(self) -> int:
+        """Return the number of runs at most."""
+        return self.search.plan.most_runs if self.search else len(self.plan)
 
 
 def choose(sweep: Sweep, catalog: FixedCatalog, status: SweepStatus) -> list[AxisSelection]:
@@ -109,7 +119,7 @@ def fixed(sweep: Sweep, selected: list[AxisSelection]) -> Sweep:
 
 async def remember(
     sweep: Sweep,
-    status: SweepStatus,
+    body: Object,
     catalog: FixedCatalog,
     live: list[Object],
     archive: Archive | None,
@@ -121,7 +131,7 @@ async def remember(
 
     Args:
         sweep: the Sweep.
-        status: its status.
+        body: the same as the API holds it, with its status.
         catalog: Algorithms and Datasets of its namespace.
         live: its live runs.
         archive: where finished runs go.
@@ -132,6 +142,7 @@ async def remember(
         InputError: the plan is wrong, or the catalog does not allow it; one sentence a line.
         ArchiveAway: the archive does not answer.
     """
+    status = SweepStatus.of(body)
     selected = choose(sweep, catalog, status)
     if (size := len(encode([item.as_json() for item in selected]))) > LIST_BYTES:
         raise InputError(
@@ -139,16 +150,27 @@ async def remember(
             f"{LIST_BYTES}: divide it"
         )
 
+    chosen, searching = fixed(sweep, selected), sweep.spec.search.is_search
+    tried = read_trials(written_trials(body))
+    if searching and archive is not None and not tried:
+        tried = await in_thread(_tried, archive, sweep.metadata.uid or "")  # the status was lost
+
     def lay_out() -> tuple[Plan, list[int], str]:
-        plan = Plan(fixed(sweep, selected), catalog, strict=True)
+        plan = SearchPlan(chosen, catalog, tried) if searching else Plan(chosen, catalog)
+        if isinstance(plan, SearchPlan):
+            require_room(plan, size)
+        shown = plan.probing() if isinstance(plan, SearchPlan) else plan
         # What was accepted once goes on: a catalog that has changed since must not stop a Sweep halfway.
-        problems = [] if accepted else plan_problems(plan)
+        problems = [] if accepted else plan_problems(shown)
         if problems:
             raise InputError("\n".join(problems))
-        return plan, plan.start_order(), "\n".join(plan.remarks())
+        return plan, [] if searching else plan.start_order(), "\n".join(shown.remarks())
 
     # In a thread: a plan of tens of thousands of points takes long enough for probes and watches to suffer.
     plan, order, remarks = await asyncio.to_thread(lay_out)
+    search = None
+    if isinstance(plan, SearchPlan):
+        search = SearchMemory(plan, [trial_field(one) for one in tried])
     memory = SweepMemory(
         plan=plan,
         order=array("I", order),  # a tenth of a list's memory
@@ -159,6 +181,7 @@ async def remember(
         started_at=moment(status.start_time),
         points=status.points,
         deletions=status.deleted or 0,
+        search=search,
     )
     there = {point_of(run) for run in live}
     if archive is not None:
@@ -169,6 +192,14 @@ async def remember(
         if state >= PointState.SUCCEEDED and index not in there
     }
     return memory
+
+
+def _tried(archive: Archive, uid: str) -> list[Trial]:
+    """Return the trials that the archive knows of a search; none where it doesn't know the Sweep."""
+    try:
+        return archive.change_search(uid, lambda known: known).trials
+    except UnknownNameError:
+        return []
 
 
 def _recall(
@@ -207,6 +238,10 @@ def _recall(
                 succeeded = point.phase is Phase.SUCCEEDED
                 memory.states[point.index] = PointState.SUCCEEDED if succeeded else PointState.FAILED
                 ended.add(point.index)
+    if memory.search is not None:
+        records = archive.runs({"sweep_uid": uid})
+        while some := [*islice(records, _READ_AT_ONCE)]:
+            memory.search.note({one.index: one for one in some if one.index in ended})
     totals = archive.totals(uid, without)
     memory.archived.reused, memory.archived.evaluated = totals.reused, totals.evaluated
     memory.archived.cpu_seconds = totals.cpu_seconds

@@ -15,7 +15,7 @@ from slamhive.kube.reconciling import catalogue
 from slamhive.model.base import API_VERSION
 from slamhive.model.canonical import normalize
 from slamhive.model.errors import InputError, ManifestError
-from slamhive.model.loading import FROZEN, parse, read_text, to_object
+from slamhive.model.loading import FROZEN, GROWING, parse, read_text, to_object
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -157,7 +157,8 @@ def compare(manifest: Manifest, present: Object) -> ManifestDifference:
         if before == after or (name == "cancel" and "cancel" not in manifest.spec):
             continue
         told = list(_told(f"spec.{name}", before, after))
-        if immutable is None or name in immutable:
+        frozen = immutable is None or name in immutable
+        if frozen and not _has_grown(str(manifest.kind), name, before, after):
             result.frozen.extend(told)
         else:
             result.changes.extend(told)
@@ -184,6 +185,17 @@ def _marks(manifest: Manifest, present: Object, name: str, result: ManifestDiffe
             f"metadata.{name}.{key}: {_shown(have.get(key, _MISSING))} → {_shown(value)}"
             for key, value in fresh.items()
         )
+
+
+def _has_grown(kind: str, name: str, before: Any, after: Any) -> bool:
+    """Tell whether a field differs in nothing but numbers in it that may be raised, and that are."""
+    fields = [way.partition(".")[2] for way in GROWING.get(kind, ()) if way.partition(".")[0] == name]
+    if not fields:
+        return False
+    raised = [(before[field], after[field]) for field in fields if before[field] != after[field]]
+    return before | after == before | {field: after[field] for field in fields} and all(
+        old is not None and new is not None and old < new for old, new in raised
+    )
 
 
 def _plain(item: Any) -> Object:
