@@ -356,7 +356,7 @@ def _write(kind: str, name: str, spec: dict[str, Any], target: Path, workshop: W
         raise InputError(f"{target}: {error.strerror}") from None
     finally:
         aside.unlink(missing_ok=True)
-    runs = sum(len(plan) for _, plan in checked.plans)
+    runs = sum(plan.most_runs for _, plan in checked.plans)
     out.print(f"wrote {target}" + (f": {runs} runs" if runs else ""), soft_wrap=True, markup=False)
 
 

@@ -78,8 +78,7 @@ def plan(
     if not plans:
         raise InputError(f"{files[0]}: no Sweep or MappingRun in it")
     if count:
-        counts = (one.most_runs if isinstance(one, SearchPlan) else len(one) for _, one in plans)
-        out.print(sum(counts))
+        out.print(sum(points.most_runs for _, points in plans))
         return
     if not as_json:
         warn_impossible(plans, workshop)
@@ -109,7 +108,7 @@ def validate(files: Files) -> None:
     workshop = load_workshop(Home.from_environment())
     checked = check_files(files, workshop)
     for sweep, points in checked.plans:
-        out.print(f"{sweep.kind} {escape(sweep.name)}: {_extent(points)}")
+        out.print(f"{sweep.kind} {escape(sweep.name)}: {searches.extent_text(points)}")
         if isinstance(points, SearchPlan):
             try:
                 require_sampler(sweep.spec.search.method)
@@ -127,8 +126,7 @@ def validate(files: Files) -> None:
 
 def remark_without_effect(sweep: Sweep, points: Plan) -> None:
     """Say which settings have no effect on some of the recordings."""
-    own = searches.remarks(points) if isinstance(points, SearchPlan) else []
-    for told in [*own, *probed(points).remarks()]:
+    for told in probed(points).remarks():
         remark(f"{sweep.name}: {told}")
 
 
@@ -148,7 +146,8 @@ def _print_outlooks(plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop) -> 
             looking = Looking(Workbench(home, workshop, archive), making=False)
             for sweep, points in plans:
                 job = Job(sweep, local_uid(sweep), points)
-                told = sentences(looking.look(sweep.name, job.uid, points, job.run_uid), points)
+                found = looking.look(sweep.name, job.uid, points, job.run_uid)
+                told = sentences(found, points, tells_new=job.search is None)
                 told = told or ["nothing of it was tried yet"]
                 out.print(f"{sweep.name}: {'; '.join(told)}", markup=False)
     except SlamHiveError as error:
@@ -167,11 +166,6 @@ def _remark_repaired(plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop) ->
         remark(f"{name} is repaired: each prepared recording of it is written anew{room}")
 
 
-def _extent(points: Plan) -> str:
-    """Return how many runs there are, of a search how much it may try."""
-    return searches.extent_text(points) if isinstance(points, SearchPlan) else plural(len(points), "run")
-
-
 def _print_json(points: Plan, count: int) -> None:
     for index in range(count):
         point = points.point(index)
@@ -184,7 +178,7 @@ def _print_json(points: Plan, count: int) -> None:
 def _print_points(sweep: Sweep, points: Plan, count: int) -> None:
     first = [points.point(index) for index in range(count)]
     labels = list(dict.fromkeys(label for point in first for label in point.coordinates))
-    out.print(f"{sweep.name}: {_extent(points)}", markup=False)
+    out.print(f"{sweep.name}: {searches.extent_text(points)}", markup=False)
     headings = ["index", "name", *(short_name(label, labels) for label in labels), "repetition", "seed"]
     lines = [
         [

@@ -181,6 +181,11 @@ class Plan:
         """Return the identity of the Sweep that the names of its runs follow from."""
         return self._uid or local_uid(self.sweep)
 
+    @property
+    def most_runs(self) -> int:
+        """Return the number of runs that there may be: of a search more than there are so far."""
+        return len(self)
+
     def __len__(self) -> int:
         return len(self.grid) * self.repetitions
 

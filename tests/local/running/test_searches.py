@@ -139,7 +139,7 @@ def test_after_any_end_the_same_settings_are_tried_and_no_run_is_done_twice(
 def test_two_runners_of_a_search_try_the_same_and_share_its_runs(
     home: Home, workshop: Workshop, bench: Workbench
 ) -> None:
-    sweep = search_of()
+    sweep = search_of(4, repetitions={})
     working = [Working(home, workshop, sweep) for _ in range(2)]
     done = [record.uid for one in working for record in one.end()]
     assert len(done) == len(set(done)) == bench.archive.count(sweep=sweep.name)

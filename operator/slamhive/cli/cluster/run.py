@@ -34,6 +34,7 @@ from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError
 from slamhive.model.results import Phase
 from slamhive.model.sweep import Sweep
+from slamhive.plan import SearchPlan
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -138,11 +139,13 @@ async def _work(submission: Submission, home: Home, submitted: list[_AwaitedObje
         for one in sent:
             if one.manifest.kind in _WATCHED:
                 plan = submission.plans.get(str(one.manifest))
-                naming = Naming(plan) if plan is not None else None
+                # Nobody here knows what a search there will try.
+                is_grid = plan is not None and not isinstance(plan, SearchPlan)
+                naming = Naming(plan) if plan is not None and is_grid else None
                 key = cluster.key(one.manifest.kind, one.manifest.name)
                 submitted.append(_AwaitedObject(key, naming=naming))
                 if plan is not None and speaks_json():
-                    emit("begin", sweep=key.name, runs=len(plan))
+                    emit("begin", sweep=key.name, runs=plan.most_runs)
         await _wait(cluster, submitted)
         names = [item.key.name for item in submitted if item.key.kind is not Kind.EVALUATION and item.body]
         if not names:

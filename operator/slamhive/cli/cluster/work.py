@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from slamhive.cli.parts.console import command_name, listing, out, plural, remark
+from slamhive.cli.parts.console import command_name, listing, out, remark
 from slamhive.cli.parts.exits import INTERRUPTED
 from slamhive.cli.parts.planning import planned, sweeps_of
+from slamhive.cli.parts.searches import extent_text
 from slamhive.kube.api.kinds import Kind
 from slamhive.kube.user import cancelling
 from slamhive.kube.user.connecting import ConnectedCluster, connected, find_target
@@ -36,7 +37,7 @@ from slamhive.model.algorithm import Algorithm
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError
 from slamhive.model.sizes import size_refused
-from slamhive.plan import FixedCatalog, plan_problems
+from slamhive.plan import FixedCatalog, plan_problems, probed
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
@@ -188,7 +189,7 @@ def show_sent(
             text += f" ({'; '.join(one.changes)})"
         plan = submission.plans.get(str(one.manifest))
         if one.manifest.kind is Kind.SWEEP and plan is not None:
-            text += f", {plural(len(plan), 'run')}"
+            text += f", {extent_text(plan)}"
         say(text)
 
 
@@ -209,7 +210,7 @@ def _check(submission: Submission, there: ClusterCatalog, *, with_catalog: bool)
             except InputError as error:
                 problems.append(str(error))
                 continue
-            problems += [f"{manifest}: {problem}" for problem in plan_problems(plan)]
+            problems += [f"{manifest}: {problem}" for problem in plan_problems(probed(plan))]
             submission.plans[str(manifest)] = plan
     problems += unable([*submission.plans.items()], catalog.algorithms)
     if problems:

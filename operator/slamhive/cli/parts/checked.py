@@ -15,6 +15,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from slamhive.cli.parts.planning import CANCELLED, sweeps_of
+from slamhive.cli.parts.searches import objective_faults
 from slamhive.model.errors import InputError
 from slamhive.model.loading import KINDS, empty, judge, read_documents, read_text
 from slamhive.model.run import MappingRun
@@ -161,7 +162,7 @@ class _JudgedFiles:
             findings.problems += str(error).splitlines()
         found = list(findings.problems)
         if plan is not None and strict:
-            found += plan_problems(probed(plan), sys.maxsize)
+            found += [*plan_problems(probed(plan), sys.maxsize), *objective_faults(sweep)]
         placed = [_placed(one, sentence) for sentence in found]
         unread = {sentence.split(": ")[0] for sentence in document.problems}
         self._tell(document.source, [text for text in placed if text.split(": ")[0] not in unread])

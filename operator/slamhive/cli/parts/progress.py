@@ -43,6 +43,7 @@ _ESTIMATED_SECONDS = 1.0
 _AWAITED = (RunStep.CORES, RunStep.DATASET, RunStep.PROGRAM)
 """Steps that a run waits for before anything is done for it alone: datasets and programs are made once."""
 
+_LONGEST_NUMBER = 8
 _MADE_AFTER_SECONDS = 15.0
 _MADE_APART = 0.25
 """Off a terminal it is said after so long, and after so much of the time passed again, what is being made."""
@@ -69,10 +70,16 @@ class Naming:
     def words(self, index: int) -> str:
         """Return the words that tell a run from the others; empty where it is the only one."""
         settings = self.settings(index)
-        parts = [f"{short_name(label, list(settings))} {value}" for label, value in settings.items()]
+        parts = [f"{short_name(label, list(settings))} {_word(value)}" for label, value in settings.items()]
         if self._points.repetitions > 1:
             parts.append(f"repetition {self._points.point(index).repetition}")
         return ", ".join(parts)
+
+
+def _word(value: Any) -> str:
+    """Return a value in few letters: one that a search drew from a range has very many digits."""
+    text = str(value)
+    return f"{value:.4g}" if isinstance(value, float) and len(text) > _LONGEST_NUMBER else text
 
 
 @dataclass
@@ -160,9 +167,9 @@ class Display:
         total = job.search.plan.most_trials if job.search is not None else self._total(job)
         self._tasks[job.uid] = self._bars.add_task(escape(job.sweep.name), total=total, notes="")
         self._left = None
-        told = sentences(outlook, job.points, again=job.again, left_out=job.left_out)
-        if job.search is not None:
-            told = [extent_text(job.search.plan), *told]
+        is_grid = job.search is None
+        told = sentences(outlook, job.points, again=job.again, left_out=job.left_out, tells_new=is_grid)
+        told = told if job.search is None else [extent_text(job.search.plan), *told]
         if speaks_json():
             counts = {kind.name.lower(): outlook.count(kind) for kind in RunStanding}
             emit(

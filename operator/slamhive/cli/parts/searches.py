@@ -6,19 +6,21 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.metrics import name_of
+from slamhive.analysis.searching import objective_problems
 from slamhive.archive import Archive
 from slamhive.cli.parts.console import plural
 from slamhive.engine import TrialStanding, decide_search
+from slamhive.local.home.folder import Home
 from slamhive.local.running.runner import Job
 from slamhive.model.errors import InputError
 from slamhive.model.search import Aggregate, Goal, Trial
 from slamhive.plan import SearchPlan, local_uid
+from slamhive.tables.reading import read_archive
 from slamhive.tables.text import number_text, short_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from slamhive.local.home.folder import Home
     from slamhive.local.running.searching import SearchUnderWay
     from slamhive.model.sweep import Sweep
     from slamhive.plan import Plan
@@ -62,8 +64,10 @@ def fewest_runs(plan: SearchPlan) -> int | None:
     return plan.most_trials * len(first)
 
 
-def extent_text(plan: SearchPlan) -> str:
-    """Return how much a search may try and run."""
+def extent_text(plan: Plan) -> str:
+    """Return how many runs there are, of a search how much it may try and run."""
+    if not isinstance(plan, SearchPlan):
+        return plural(len(plan), "run")
     space, search = plan.space, plan.sweep.spec.search
     fewest, most = fewest_runs(plan), plural(plan.most_runs, "run")
     runs = f"at most {most}" if fewest is None else f"at least {fewest:,} and at most {most}"
@@ -74,15 +78,14 @@ def extent_text(plan: SearchPlan) -> str:
     return f"search {search.method}, tries {plan.most_trials:,} of {size}, {runs}"
 
 
-def remarks(plan: SearchPlan) -> list[str]:
-    """Return what is to be known of a search before it begins."""
-    asked, size = plan.sweep.spec.search.trials, plan.space.size
-    if asked is None or size is None or asked <= size:
+def objective_faults(sweep: Sweep) -> list[str]:
+    """Return a sentence for each objective that neither an evaluation yields nor any run here has."""
+    search, settings = sweep.spec.search, sweep.spec.evaluation
+    if not search.is_search or not objective_problems(search, settings):
         return []
-    have = "is 1 setting" if size == 1 else f"are {size:,} settings"
-    return [
-        f"spec.search.trials: {asked:,} are more than there are: there {have}, each is tried, as in a grid"
-    ]
+    home = Home.from_environment()
+    seen = () if home.missing_archive else read_archive(home.archive_url, home.path / "cache").names
+    return objective_problems(search, settings, seen)
 
 
 def progress_text(search: SearchUnderWay) -> str:

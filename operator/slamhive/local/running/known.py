@@ -68,14 +68,17 @@ def known_trials(
 
 def _candidates(space: SearchSpace, runs: Iterable[ReusableRun]) -> list[Trial]:
     """Return the settings that runs may have had, each once, sorted."""
-    values = (_values(space.axes, run.spec) for run in runs)
-    found = {space.key(one): one for one in values if one is not None}
+    values = (_values(space, run.spec) for run in runs)
+    found = {space.key(one): space.canonical(one) for one in values if one is not None}
     return [Trial(values=normalize(found[key]), origin=TrialOrigin.KNOWN) for key in sorted(found)]
 
 
-def _values(axes: Sequence[SearchedAxis], spec: Mapping[str, Any]) -> list[Any] | None:
+def _values(space: SearchSpace, spec: Mapping[str, Any]) -> list[Any] | None:
     """Return a run's value on each axis; None where it has none on one of them."""
-    values = [_value(axis, spec) for axis in axes]
+    values = [_value(axis, spec) for axis in space.axes]
+    if space.is_conditional:  # one without effect is not set, whatever its axis has
+        firsts = [axis.dimension.values[0] for axis in space.axes]
+        values = [first if one is _ABSENT else one for one, first in zip(values, firsts, strict=True)]
     return None if any(value is _ABSENT for value in values) else values
 
 

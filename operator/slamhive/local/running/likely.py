@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from slamhive.plan import SearchPlan
     from slamhive.plan.searching import SearchedAxis
 
+_TRIES = 20
+
 
 def likely_runs(plan: SearchPlan) -> tuple[SearchPlan, list[int]]:
     """Return a search as it is likely to be: its plan, and the indices of its runs as they are done."""
@@ -28,12 +30,22 @@ def likely_runs(plan: SearchPlan) -> tuple[SearchPlan, list[int]]:
         for trial in decision.draws:
             played.draw(trial)
         if decision.told is not None:
-            values = [_any_value(axis, rng) for axis in played.space.axes]
-            played.draw(Trial(values=values, told=decision.told))
+            played.draw(Trial(values=_any_setting(played, rng), told=decision.told))
         if decision.told is None and not decision.draws:
             for index in decision.wanted:
                 seen[index] = _any_end(len(search.objectives), rng)
     return played, list(seen)
+
+
+def _any_setting(plan: SearchPlan, rng: np.random.Generator) -> list[Any]:
+    """Return a setting that was not tried, if some tries find one."""
+    space = plan.space
+    tried = {space.key(trial.values) for trial in plan.trials}
+    for _ in range(_TRIES):
+        values = [_any_value(axis, rng) for axis in space.axes]
+        if space.key(values) not in tried:
+            break
+    return values
 
 
 def _any_value(axis: SearchedAxis, rng: np.random.Generator) -> Any:
