@@ -125,9 +125,11 @@ def test_after_any_end_the_same_settings_are_tried_and_no_run_is_done_twice(
             super().change_search(*arguments)
             raise Ended
 
-    with (Archive if runs else Dies).open(home.archive_url) as archive, pytest.raises(Ended):
+    with (Archive if runs else Dies).open(home.archive_url) as archive:
         job = Job(sweep, local_uid(sweep), plan_of(sweep, workshop))
-        Runner(Workbench(home, workshop, archive), Killed(), parallelism=1).run([job])
+        runner = Runner(Workbench(home, workshop, archive), Killed(), parallelism=1)
+        with pytest.raises(Ended):
+            runner.run([job])
     job, notes = run_sweep(sweep)
     assert tried(bench.archive, sweep) == expected
     assert job.search.best == best
@@ -203,7 +205,7 @@ def test_failed_runs_are_done_again_where_asked(
     bench: Workbench, run_sweep: Callable, workshop: Workshop
 ) -> None:
     sweep = search_of()
-    job, notes = run_sweep(sweep)
+    job, _ = run_sweep(sweep)
     failed = {index for index, state in enumerate(job.states) if state == PointState.FAILED}
     assert failed
     again = Job(sweep, job.uid, plan_of(sweep, workshop))

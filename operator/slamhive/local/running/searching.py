@@ -61,6 +61,7 @@ class SearchUnderWay:
         self._uid = uid
         self._run_uid = run_uid
         self._is_exhausted = False
+        self._best: tuple[SearchDecision, list[TrialStanding]] | None = None
         self._decided: tuple[tuple[int, int, bool], SearchDecision] | None = None
 
     @property
@@ -82,11 +83,32 @@ class SearchUnderWay:
     @property
     def best(self) -> list[TrialStanding]:
         """Return the best trials with all their runs, else the best one of those under way; none at first."""
-        if not self.search.objectives:
-            return []
-        standings = self.decision.standings
+        decision = self.decision
+        if self._best is None or self._best[0] is not decision:
+            self._best = decision, self._found(decision.standings) if self.search.objectives else []
+        return self._best[1]
+
+    def _found(self, standings: Sequence[TrialStanding]) -> list[TrialStanding]:
         scored = [(one.score, one) for one in standings if one.score is not None and one.score.failed < 1]
-        return best_of(standings) or [one for _, one in sorted(scored, key=lambda pair: pair[0])[:1]]
+        complete = [pair for pair in scored if pair[1].is_complete]
+        if complete and len(self.search.objectives) > 1:
+            return best_of(standings)
+        best = min((score for score, _ in complete or scored), default=None)
+        found = [one for score, one in complete or scored if score == best]
+        return found if complete else found[:1]
+
+    @property
+    def further_runs(self) -> float:
+        """Return the number of runs that are likely to come beside those that are wanted now.
+
+        As many for each setting that is still to be tried as those that are decided had; nothing before.
+        """
+        standings = self.decision.standings
+        decided = [one.runs for one in standings if one.is_decided]
+        left = self.plan.most_trials - len(self.plan.trials)
+        if not decided or self._is_exhausted or not self.search.method.is_sampled:
+            return 0.0
+        return left * sum(decided) / len(decided)
 
     def recall(self, archive: Archive) -> None:
         """Take in what was tried before.
