@@ -38,10 +38,19 @@ if TYPE_CHECKING:
     from slamhive_eval.formats.columns import TableFormat
     from slamhive_eval.formats.evo_zip import ErrorSeries, write_error_arrays, write_evo_zip
     from slamhive_eval.formats.files import read_euroc, read_kitti, read_trajectory, read_tum, write_tum
+    from slamhive_eval.formats.healthfiles import Confidence, read_covariances, read_health
     from slamhive_eval.formats.writing import write_trajectory
     from slamhive_eval.handeye import HandEye, hand_eye
     from slamhive_eval.measures.consistency import Consistency, measure_consistency
+    from slamhive_eval.measures.health import (
+        Awareness,
+        HealthRule,
+        ToldLoss,
+        evaluate_health,
+        measure_health,
+    )
     from slamhive_eval.measures.kitti import KittiErrors, kitti_errors
+    from slamhive_eval.measures.losses import LocalErrors, LossRule, local_errors
     from slamhive_eval.measures.maps import MapEntropy, MapErrors, compare_maps, mean_map_entropy, thin_out
     from slamhive_eval.measures.motion import Smoothness, smoothness, velocities, velocity_errors
     from slamhive_eval.measures.points import ControlPoints, PointErrors, evaluate_points
@@ -112,6 +121,9 @@ _MODULES = {
     "timing": ("TimeOffset", "find_offset"),
     "formats.clouds": ("Cloud", "read_cloud", "sample_mesh"),
     "measures.consistency": ("Consistency", "measure_consistency"),
+    "formats.healthfiles": ("Confidence", "read_covariances", "read_health"),
+    "measures.health": ("Awareness", "HealthRule", "ToldLoss", "evaluate_health", "measure_health"),
+    "measures.losses": ("LocalErrors", "LossRule", "local_errors"),
     "formats.evo_zip": ("ErrorSeries", "write_error_arrays", "write_evo_zip"),
     "reports.figures": ("save_figure", "save_trajectories"),
     "measures.kitti": ("KittiErrors", "kitti_errors"),
@@ -194,6 +206,17 @@ __all__ = [  # noqa: RUF022 - by concept, not by letter
     "Smoothness",
     "measure_consistency",
     "Consistency",
+    "read_health",
+    "read_covariances",
+    "Confidence",
+    "evaluate_health",
+    "measure_health",
+    "HealthRule",
+    "Awareness",
+    "ToldLoss",
+    "local_errors",
+    "LossRule",
+    "LocalErrors",
     "find_support",
     "Support",
     "Gap",

@@ -84,7 +84,7 @@ def measure_coverage(
     """
     if keyframes is None:
         keyframes = is_keyframes(estimate)
-    path, clock = _course(reference, window)
+    path, clock = course(reference, window)
     begin, end = association.reference[:-1], association.reference[1:]
     limit = KEYFRAME_STEP_SECONDS if keyframes else FRAME_STEP_SECONDS
     apart = np.diff(estimate.stamps[association.estimate])
@@ -104,11 +104,11 @@ def no_coverage(
     reference: Trajectory, *, keyframes: bool | None = None, window: tuple[float, float] | None = None
 ) -> Coverage:
     """The coverage of an estimate without a pose: none, of the path that there is; see measure_coverage."""
-    path, _ = _course(reference, window)
+    path, _ = course(reference, window)
     return Coverage(0.0, float(path[-1]), 0.0, bool(keyframes))
 
 
-def _course(reference: Trajectory, window: tuple[float, float] | None) -> tuple[FloatArray, FloatArray]:
+def course(reference: Trajectory, window: tuple[float, float] | None) -> tuple[FloatArray, FloatArray]:
     """Path in m and time in s from the first pose to each, standing still over gaps and outside the window.
 
     That of the whole is kept for the next estimate with this reference.

@@ -46,6 +46,8 @@ MIN_POSES = 3
 MIN_SCALE, MAX_SCALE = 0.5, 2.0
 MAX_ATE_SHARE = 0.1
 """An ATE above this share of the ground truth's path is a diverged run."""
+MAX_LOCAL_SHARE = 0.25
+"""A relative error above this share of a short way is out of proportion; what stands still has 1."""
 PARTIAL_COVERAGE = 0.5
 NO_POSE = "the algorithm wrote no pose"
 MOTION_METRES = 0.1

@@ -22,6 +22,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "kitti": ("slamhive_eval.commands.kitti", "errors over KITTI's segments"),
     "drift": ("slamhive_eval.commands.drift", "errors over sub-trajectories, scale drift, gaps"),
     "consistency": ("slamhive_eval.commands.consistency", "covariances against errors: NEES, sigma bounds"),
+    "health": ("slamhive_eval.commands.health", "a system's own confidence against its losses"),
     "segments": ("slamhive_eval.commands.segments", "an estimate that started again, piece by piece"),
     "repeated": ("slamhive_eval.commands.repeated", "several runs of one configuration together"),
     "report": ("slamhive_eval.commands.report", "a page or figure that shows estimates"),

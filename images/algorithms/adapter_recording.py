@@ -17,7 +17,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from adapter_support import NANOSECONDS, AdapterError, Run, Sensor, Stopwatch, Trajectory, write_results
+from adapter_support import (
+    NANOSECONDS,
+    AdapterError,
+    HealthLog,
+    Run,
+    Sensor,
+    Stopwatch,
+    Trajectory,
+    write_results,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -400,27 +409,37 @@ def _decode_compressed(message: Any, sensor: Sensor) -> np.ndarray:
     return image if image.ndim == 2 else np.ascontiguousarray(image[:, :, 2::-1])
 
 
-def register_scans(run: Run, register: Callable[[Cloud], np.ndarray], deskew: bool) -> None:
+def register_scans(
+    run: Run,
+    register: Callable[[Cloud], np.ndarray],
+    deskew: bool,
+    confidence: Callable[[], float] | None = None,
+) -> None:
     """Run an odometry that takes scan after scan.
 
     Args:
         run: The run; its results are written.
         register: Takes a scan and returns the pose of the lidar `(4, 4)`.
         deskew: Whether it moves the points to the end of the scan.
+        confidence: Returns how sure it is of the last pose, larger is surer; None: it doesn't say.
 
     Raises:
         AdapterError: The recording can't be read, or no scan has a point.
     """
     lidar = run.sensor("lidar")
     recording = Recording(run, {"lidar": decode_cloud})
-    trajectory, watch, empty = Trajectory(), Stopwatch(), 0
+    trajectory, watch, health, empty = Trajectory(), Stopwatch(), HealthLog(), 0
     for item in recording.items():
         if not len(item.data.points):
             empty += 1
             continue
         with watch.frame():
             pose = register(item.data)
-        trajectory.add(pose_stamp(item, lidar, deskew), pose)
+        stamp = pose_stamp(item, lidar, deskew)
+        trajectory.add(stamp, pose)
+        if confidence is not None:
+            health.add(stamp, confidence())
+    health.write(run.output / "health.csv")
     write_results(run, trajectory, watch, recording.cpu_seconds, recording.dropped["lidar"] + empty)
 
 

@@ -260,6 +260,32 @@ class Trajectory:
         write_atomically(path, "".join(lines))
 
 
+@dataclass
+class HealthLog:
+    """What the algorithm says of itself, for output/health.csv.
+
+    Attributes:
+        rows: Sensor time in ns, its confidence (larger is more) if it has one, and ok, degraded, lost or
+            nothing.
+    """
+
+    rows: list[tuple[int, float | None, str]] = field(default_factory=list)
+
+    def add(self, stamp: int, value: float | None = None, flag: str = "") -> None:
+        """Append what it says at a time; a value that isn't finite says nothing."""
+        self.rows.append((stamp, value if value is not None and np.isfinite(value) else None, flag))
+
+    def write(self, path: Path) -> None:
+        """Write the file, complete or not at all; none where it said nothing."""
+        if not self.rows:
+            return
+        lines = ["stamp,value,flag\n"]
+        for stamp, value, flag in sorted(self.rows, key=lambda row: row[0]):
+            seconds, nanoseconds = divmod(stamp, NANOSECONDS)
+            lines.append(f"{seconds}.{nanoseconds:09d},{'' if value is None else f'{value:.9g}'},{flag}\n")
+        write_atomically(path, "".join(lines))
+
+
 def quaternions(R: np.ndarray) -> np.ndarray:
     """Unit quaternions of rotation matrices.
 

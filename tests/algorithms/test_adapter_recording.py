@@ -237,8 +237,10 @@ def test_registers_scan_after_scan(maker: Maker, points: np.ndarray) -> None:
         seen.append(len(cloud.points))
         return np.eye(4)
 
-    register_scans(run, register, deskew=True)
+    register_scans(run, register, deskew=True, confidence=lambda: -1.5 if len(seen) < 2 else np.nan)
     assert seen == [3, 3]
+    said = (run.output / "health.csv").read_text().splitlines()
+    assert said == ["stamp,value,flag", "1600000000.075000003,-1.5,", "1600000002.075000003,,"]
     stamps = [line.split()[0] for line in (run.output / "trajectory.txt").read_text().splitlines()]
     assert stamps == ["1600000000.075000003", "1600000002.075000003"]
     assert '"framesDropped": 1' in (run.output / "metrics.json").read_text()

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from adapter_support import (
     AdapterError,
+    HealthLog,
     Run,
     Stopwatch,
     Trajectory,
@@ -21,6 +22,8 @@ from adapter_support import (
     run_adapter,
     write_results,
 )
+
+from slamhive_eval import read_health
 
 if TYPE_CHECKING:
     from conftest import Maker
@@ -181,6 +184,17 @@ def test_a_pose_is_kept_as_it_was(tmp_path: Path) -> None:
     trajectory.add(1, pose)
     pose[0, 3] = 9
     assert trajectory.poses[0][0, 3] == 0
+
+
+def test_writes_health_in_the_order_of_time(tmp_path: Path) -> None:
+    health = HealthLog()
+    health.write(tmp_path / "health.csv")
+    assert not (tmp_path / "health.csv").exists()
+    health.add(1_600_000_001_500_000_000, 12, "degraded")
+    health.add(1_600_000_000_000_000_001, flag="lost")
+    health.write(tmp_path / "health.csv")
+    said = read_health(tmp_path / "health.csv")
+    assert (said.flags.tolist(), said.values[1]) == ([2, 1], 12.0)
 
 
 def test_writes_metrics(maker: Maker) -> None:

@@ -38,7 +38,8 @@ def declared(folder: Path) -> Algorithm:
 
 def parameters_used(folder: Path) -> set[str]:
     """Names that the adapter asks the run for, written out or in its table PARAMETERS."""
-    own = [folder / name for name in modules_needed(folder, "adapter.py") if (folder / name).is_file()]
+    names = modules_needed(folder, "adapter.py")
+    own = [path for name in names for path in (folder / name, ALGORITHMS / name) if path.is_file()]
     used = set()
     for node in (node for path in own for node in ast.walk(ast.parse(path.read_text()))):
         if (

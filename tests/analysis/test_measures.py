@@ -16,7 +16,16 @@ from slamhive.analysis.metrics import Metric, label_of, name_of, title_of
 from slamhive.model.evaluation import EvaluationSettings
 from slamhive.model.reported import ErrorFigures
 from slamhive.model.sensors import SensorMode
-from slamhive_eval import ControlPoints, Piece, Relations, TimeOffset, Trajectory
+from slamhive_eval import (
+    Confidence,
+    ControlPoints,
+    Piece,
+    Preparation,
+    Relations,
+    TimeOffset,
+    Trajectory,
+    evaluate_health,
+)
 from slamhive_eval.statistics import STATISTICS
 
 if TYPE_CHECKING:
@@ -94,6 +103,24 @@ def test_every_number_that_the_evaluator_finds_has_a_row(
     numbers = [name for name, values in found.items() if any(type(one) in {int, float} for one in values)]
     assert len(numbers) > 15
     assert [name for name in numbers if measures._listed(measures.BESIDE.sub(r"\2", name)) is None] == []
+
+
+def test_every_figure_of_health_has_a_row() -> None:
+    flags = np.where(TIMES < 20, 2, 0).astype(np.int8)
+    covariances = TIMES, np.tile(np.eye(6), (len(TIMES), 1, 1))
+    found: dict[str, Any] = {}
+    told = evaluate_health(
+        line(TIMES),
+        line(TIMES).select(np.flatnonzero(TIMES < 40)),
+        Preparation(alignment="se3"),
+        said=Confidence(TIMES, TIMES, flags),
+        covariances=covariances,
+    )
+    spread(found, "", [{"health": told["health"]}])
+    numbers = [name for name, values in found.items() if any(type(one) in {int, float} for one in values)]
+    assert len(numbers) > 20
+    assert [name for name in numbers if measures._listed(name) is None] == []
+    assert not any(is_error(name) for name in numbers)
 
 
 @pytest.mark.parametrize("statistic", STATISTICS)

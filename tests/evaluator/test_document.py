@@ -40,6 +40,8 @@ def desk(tmp_path: Path, wander: Callable[..., Trajectory], monkeypatch: pytest.
     (tmp_path / "registered_poses.csv").write_text("\n".join(["#sec,nsec", *lines]))
     points = np.column_stack((truth.stamps, truth.positions))[::40].tolist()
     (tmp_path / "points.txt").write_text("\n".join(" ".join(map(str, row)) for row in points))
+    said = [f"{stamp},{k % 7},ok" for k, stamp in enumerate(truth.stamps.tolist())]
+    (tmp_path / "health.csv").write_text("\n".join(["stamp,value,flag", *said]))
     np.savetxt(tmp_path / "T_lidar_imu.txt", np.eye(4))
     for folder in ("poses", "estimates"):
         (tmp_path / folder).mkdir()
@@ -53,7 +55,7 @@ def desk(tmp_path: Path, wander: Callable[..., Trajectory], monkeypatch: pytest.
 
 def test_commands(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = [line for block in blocks("text") for line in block.splitlines()]
-    assert len(lines) == 15
+    assert len(lines) == 16
     for line in lines:
         program, *words = shlex.split(line)
         assert program == "slamhive-eval"

@@ -39,12 +39,16 @@ from drawing import HANG_SECONDS, bound
 from slamhive_eval import (
     EvaluationError,
     Options,
+    Preparation,
     Trajectory,
     evaluate,
+    evaluate_health,
     evaluate_relations,
     measure_consistency,
     number_poses,
     read_cloud,
+    read_covariances,
+    read_health,
     read_relations,
     read_segments,
     read_trajectory,
@@ -114,6 +118,10 @@ def text_seeds() -> list[Seed]:
     openvins = text(np.hstack((rows, covariance[:, :12])), " ", f"# {TUM} {' '.join(upper)}\n")
     relations = text(np.column_stack((rows[:-1, 0], rows[1:, 0], rows[:-1, 1:7])), " ")
     segments = b"start,end,map,reason\n1600000000,1600000000.5,0,start\n1600000000.6,1600000001,1,lost\n"
+    health = b"stamp,value,flag\n1600000000,0.5,ok\n1600000000.1,,degraded\n1600000000.2,-3e2,\n"
+    known = text(
+        np.hstack((rows[:, :1], covariance[:, :6])), ",", "stamp,cov_xx,cov_xy,cov_xz,cov_yy,cov_yz,cov_zz\n"
+    )
     ply = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
     ply += (
         b"element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
@@ -127,6 +135,7 @@ def text_seeds() -> list[Seed]:
     return [
         *(("a.txt", tum), ("b.csv", euroc), ("c.kitti", text(matrices, " ")), ("d.csv", table)),
         *(("e.txt", openvins), ("f.relations", relations), ("segments.csv", segments)),
+        *(("health.csv", health), ("covariances.csv", known)),
         *(("g.gz", gzip.compress(tum)), ("h.bz2", bz2.compress(tum)), ("i.txt", b"1 2 3 0 0 0 1\n")),
         *(("a.ply", ply), ("b.ply", binary), ("a.pcd", pcd + b"ascii\n0 0 0\n1 0 0\n0 1 0\n")),
         *(("b.pcd", pcd + b"binary\n" + raw), ("a.npy", npy.getvalue())),
@@ -249,6 +258,11 @@ def check(path: Path, rng: random.Random) -> None:
     path_of_12 = Trajectory(rows[:, 0], rows[:, 1:4], rows[:, 4:])
     if path.name == "segments.csv":
         number_poses(path_of_12, read_segments(path))
+    elif path.name in {"health.csv", "covariances.csv"}:
+        is_health = path.name == "health.csv"
+        told = {"said": read_health(path)} if is_health else {"covariances": read_covariances(path)}
+        found = evaluate_health(path_of_12, path_of_12, Preparation(alignment="se3"), **told)
+        json.dumps(found, allow_nan=False)
     elif kind == ".relations":
         json.dumps(evaluate_relations(read_relations(path), path_of_12).as_dict(), allow_nan=False)
     elif kind in (".ply", ".pcd", ".npy"):

@@ -2,6 +2,7 @@
 /** Paths in the plane, in space and over time. */
 import assert from 'node:assert/strict';
 import test from 'node:test';
+import { withHealth } from '../../operator/slamhive/dashboard/static/charts/health.js';
 import { drawing, projector, scene, toSvg } from '../../operator/slamhive/dashboard/static/charts/space.js';
 import {
   errorRange,
@@ -53,6 +54,31 @@ test('a line is broken at each gap', () => {
     ['-', '-'],
     [60, 5],
   ]);
+});
+
+test('losses and warnings stand behind an error, by its clock', () => {
+  const option = overTime([{ name: 'error', t: [0, 9], values: [1, 2] }], 'y', 'x');
+  assert.equal(withHealth(option, {}, 100), option);
+  assert.equal(withHealth(option, undefined, 100), option);
+  const result = { healthLosses: [{ begin: 103, end: 105 }], healthWarnings: [{ begin: 102, end: 104 }] };
+  const { series, legend } = withHealth(option, result, 100);
+  assert.deepEqual(
+    series.map((/** @type {any} */ { name, markArea }) => [name, markArea?.data]),
+    [
+      ['error', undefined],
+      ['lost', [[{ xAxis: 3 }, { xAxis: 5 }]]],
+      [
+        'warned',
+        [
+          [
+            { xAxis: 2, y: 32 },
+            { xAxis: 4, y: 40 },
+          ],
+        ],
+      ],
+    ],
+  );
+  assert.ok(legend);
 });
 
 test('one line has no legend unless it is asked for', () => {

@@ -69,7 +69,7 @@ def put_run(pod: Any, number: int, estimate: Path | str) -> dict[str, Any]:
     place.mkdir(parents=True)
     data = estimate.encode() if isinstance(estimate, str) else estimate.read_bytes()
     (place / "trajectory.txt").write_bytes(data)
-    for name in ("segments.csv", "trajectory.online.txt", "trajectory.keyframes.txt"):
+    for name in ("segments.csv", "health.csv", "trajectory.online.txt", "trajectory.keyframes.txt"):
         if isinstance(estimate, Path) and estimate.with_name(name).exists():
             shutil.copy(estimate.with_name(name), place)
     return {
@@ -157,6 +157,8 @@ def test_results_are_those_of_the_workstation(  # noqa: PLR0917 - fixtures
     truth, estimate, window = prepare_truth(shared, kind, folder)
     poses = estimate.read_text().splitlines(keepends=True)
     (folder / "trajectory.online.txt").write_text("".join(poses[: len(poses) // 2]))
+    said = [f"{line.split()[0]},{k % 9},{'lost' if k % 40 < 9 else 'ok'}" for k, line in enumerate(poses)]
+    (folder / "health.csv").write_text("\n".join(["stamp,value,flag", *said]))
     (folder / "trajectory.keyframes.txt").write_text("".join(poses[::10]) + "1 2 3\n" * (kind == "Kitti"))
     if mode == "mono":
         truth |= {"frame": "body" if kind in {"ControlPoints", "Table"} else "lidar"}
@@ -196,6 +198,7 @@ def test_results_are_those_of_the_workstation(  # noqa: PLR0917 - fixtures
         close = isinstance(value, float) and found[key] == pytest.approx(value, rel=1e-9, abs=1e-12)
         assert close or found[key] == value, key
     assert kind == "Relations" or wanted[".values.ate.rmse"] > 0
+    assert (".values.health.warning.seconds" in wanted) == (kind in {"Tum", "Euroc", "Kitti"})
     assert (".values.segments[1].map" in wanted) == (kind in {"Tum", "Table"})
     if kind == "ControlPoints":
         assert (
@@ -380,6 +383,57 @@ def test_what_lies_beside_a_trajectory_costs_no_result(pod: Any, walked: str, sp
     assert record["result"]["outcome"] == "Tracked"
     (beside,) = record["result"]["values"]["beside"].values()
     assert beside["message"].startswith(why)
+
+
+def test_what_a_system_said_of_itself_is_measured(pod: Any, walked: str) -> None:
+    """It stands still for five seconds, and warned half a second before."""
+    lines = walked.splitlines()
+    rows = [line.split() for line in lines]
+    stood = [
+        " ".join((row[0], *rows[100][1:])) if 100 <= k < 150 else line
+        for k, (row, line) in enumerate(zip(rows, lines, strict=True))
+    ]
+    run = put_run(pod, 1, "\n".join(stood))
+    [alone] = evaluate(pod, [run])
+    folder = Path(pod.root, "results", run["folder"], "output")
+    flags = ["lost" if 96 <= k < 150 else "ok" for k in range(len(rows))]
+    said = [f"{row[0]},{k},{flag}" for k, (row, flag) in enumerate(zip(rows, flags, strict=True))]
+    (folder / "health.csv").write_text("\n".join(["stamp,value,flag", *said]))
+    (folder / "covariances.csv").write_text(
+        "\n".join(["stamp,cov_xx,cov_yy,cov_zz", *(f"{row[0]},1e-2,1e-2,1e-2" for row in rows)])
+    )
+    [record] = evaluate(pod, [run])
+    values = record["result"]["values"]
+    health, losses, warnings = (values.pop(name) for name in ("health", "healthLosses", "healthWarnings"))
+    assert values.pop("notes")[-1].startswith("its own health: lost once, ")
+    alone["result"]["values"].pop("notes")
+    assert record["result"] == alone["result"]
+    assert (len(losses), len(warnings), health["of"]) == (1, 1, "final")
+    assert 0.3 < health["warning"]["lead"] < 1.5
+    assert health["nees"]["position"]["count"] == len(rows)
+    shutil.copy(folder / "trajectory.txt", folder / "trajectory.online.txt")
+    [record] = evaluate(pod, [run])
+    assert record["result"]["values"]["health"] == health | {"of": "online"}
+
+
+@pytest.mark.parametrize(
+    ("spoil", "why"),
+    [
+        (lambda path: path.symlink_to("/etc/passwd"), "output/health.csv: is no regular file"),
+        (lambda path: path.write_text("stamp,flag\n1,no\n"), "output/health.csv, line 2: flag is 'no'"),
+        (lambda path: path.write_bytes(b"\x1f\x8b\x08"), "output/health.csv is compressed; it must"),
+        (
+            lambda path: (path.touch(), os.truncate(path, 65 << 20)),
+            "output/health.csv is larger than 64 MiB",
+        ),
+    ],
+)
+def test_health_that_is_wrong_costs_no_result(pod: Any, walked: str, spoil: Any, why: str) -> None:
+    run = put_run(pod, 1, walked)
+    spoil(Path(pod.root, "results", run["folder"], "output", "health.csv"))
+    [record] = evaluate(pod, [run])
+    assert record["result"]["outcome"] == "Tracked"
+    assert record["result"]["values"]["health"]["message"].startswith(why)
 
 
 @pytest.mark.parametrize("processes", ["1", "2"])

@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from slamhive.model.algorithm import Algorithm
 from slamhive.model.errors import InputError
 from slamhive.model.loading import parse, to_object
 from slamhive.model.results import Prepared
+from slamhive.model.run import MappingRunSpec
 from slamhive.model.sensors import SensorMode
 from slamhive.plan import FixedCatalog, Plan, option_problems, plan_problems, recording_fields, spec_hash
 from slamhive.plan.effects import nominal
+from slamhive.plan.resolution import run_problems
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -343,6 +346,21 @@ def test_perturbations_are_axes_whose_zero_is_a_plain_run(study: Callable[..., P
         ),
         (
             "lidar",
+            {"late": {"imu": 0.1}},
+            "input.perturb.late.imu: 0.1 is asked, the mode lidar has no imu",
+        ),
+        (
+            "stereo",
+            {"lidar": {"rain": 0.1}},
+            "input.perturb.lidar.rain: 0.1 is asked, the mode stereo has no LiDAR",
+        ),
+        (
+            "lidar",
+            {"images": {"motionBlur": 10}},
+            "input.perturb.images.motionBlur: 10 is asked, the mode lidar has no camera",
+        ),
+        (
+            "lidar",
             {"seed": 3},
             "input.perturb.seed: 3 is asked, and nothing that is perturbed is random",
         ),
@@ -359,3 +377,39 @@ def test_a_perturbation_of_what_is_not_there_is_refused(
 def test_an_unknown_role_of_a_perturbation_is_named(study: Callable[..., Plan]) -> None:
     with pytest.raises(InputError, match=r"unknown role 'lidr'; did you mean 'lidar'"):
         study("[{path: input.perturb.timeOffset.lidr, values: [0.1]}]")
+
+
+@pytest.mark.parametrize(
+    ("formats", "perturb", "sentence"),
+    [
+        (
+            "[Kitti]",
+            {"swapped": {"left": 0.2}},
+            (
+                "input.perturb.swapped.left: a folder in Kitti's form has no order of delivery; only bags "
+                "have, which are played or read message by message"
+            ),
+        ),
+        ("[Rosbag1]", {"swapped": {"left": 0.2}}, None),
+        ("[Kitti]", {"swapped": {"left": 0}}, None),
+        (
+            "[Rosbag1]",
+            {"images": {"motionBlur": 10}},
+            (
+                "input.perturb.images.motionBlur: nothing says how bag turns: it has no IMU, and no ground "
+                "truth with orientations; images.blur in pixels needs neither"
+            ),
+        ),
+    ],
+)
+def test_a_perturbation_that_cannot_be_had_is_refused_before_anything_runs(
+    known: FixedCatalog, formats: str, perturb: dict[str, Any], sentence: str | None
+) -> None:
+    document = {"apiVersion": "slamhive.io/v1alpha1", "kind": "Algorithm", "metadata": {"name": "reader"}}
+    spec = {"image": "none", "modes": [{"name": "mono", "roles": ["left"]}], "paces": ["Lockstep"]}
+    spec |= {"recording": formats.strip("[]").split(), "output": {"frame": "left"}}
+    algorithm = Algorithm.model_validate(document | {"spec": spec})
+    asked = {"algorithmRef": {"name": "reader"}, "datasetRef": {"name": "bag"}, "input": {"perturb": perturb}}
+    body = MappingRunSpec.model_validate(asked).as_json() | {"sensors": "mono"}
+    problems = list(run_problems(body, algorithm, known.datasets["bag"]))
+    assert problems[:1] == ([sentence] if sentence else [])

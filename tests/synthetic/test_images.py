@@ -8,6 +8,7 @@ import pytest
 from slamhive.data.synthetic import rig
 from slamhive.data.synthetic.camera import CameraModel
 from slamhive.data.synthetic.optics import Lens
+from slamhive.data.synthetic.trajectory import SyntheticMotion
 from slamhive.model.sensors import Sensor
 from slamhive.model.synthetic import SyntheticRecording
 
@@ -170,7 +171,7 @@ def test_noise_stays_when_the_light_goes(studio: Any, noise: float, light: float
     assert (shoot(noise) - clean).std() == pytest.approx(expected, rel=0.12)
 
 
-@pytest.mark.parametrize("mounted", ["Askew", "Euroc"])
+@pytest.mark.parametrize("mounted", ["Askew", "Euroc", "Mav"])
 @pytest.mark.parametrize("sensor", ["Lidar", "Imu", "Stereo", "Rgbd"])
 def test_calibration_is_valid_and_has_no_right_angles(sensor: str, mounted: str) -> None:
     spec = SyntheticRecording.model_validate({"sensors": [sensor], "rig": mounted})
@@ -190,6 +191,7 @@ def test_calibration_is_valid_and_has_no_right_angles(sensor: str, mounted: str)
         (None, {"left": 109.2, "right": 108.3, "color": 111.4}),
         ("Askew", {"left": 109.2, "right": 108.3, "color": 111.4}),
         ("Euroc", {"left": 89.1, "right": 88.6, "color": 85.2}),
+        ("Mav", {"left": 89.2, "right": 89.3}),
     ],
 )
 def test_the_rig_decides_how_imu_and_cameras_are_turned_against_each_other(
@@ -201,3 +203,24 @@ def test_the_rig_decides_how_imu_and_cameras_are_turned_against_each_other(
         turned = poses["imu"][:3, :3].T @ poses[role][:3, :3]
         assert np.degrees(np.arccos((np.trace(turned) - 1.0) / 2.0)) == pytest.approx(angle, abs=0.1)
     assert np.linalg.norm((np.linalg.inv(poses["imu"]) @ poses["left"])[:3, 3]) < 0.5
+
+
+def test_the_rig_of_a_vehicle_has_its_published_calibration() -> None:
+    spec = SyntheticRecording.model_validate({"sensors": ["Stereo", "Imu"], "rig": "Mav"})
+    poses = {role: np.array(entry["T_body_sensor"]) for role, entry in rig.sensors(spec).items()}
+    left, right = (np.linalg.inv(poses["imu"]) @ poses[role] for role in ("left", "right"))
+    # sensor.yaml of cam0 and cam1, to what their digits give of a rotation.
+    published = [-0.0216401454975, -0.064676986768, 0.00981073058949]
+    assert left[:3, 3] == pytest.approx(published, abs=1e-12)
+    assert left[0, :3] == pytest.approx([0.0148655429818, -0.999880929698, 0.00414029679422], abs=1e-9)
+    assert right[2, :3] == pytest.approx([-0.0253898008918, 0.0179005838253, 0.999517347078], abs=1e-9)
+    assert np.linalg.norm((np.linalg.inv(left) @ right)[:3, 3]) == pytest.approx(0.11, abs=1e-3)
+
+
+@pytest.mark.parametrize(("mounted", "nearest"), [("Askew", 83.0), ("Mav", 15.3), ("Euroc", 1.1)])
+def test_the_imu_of_a_vehicle_is_off_the_vertical(mounted: str, nearest: float) -> None:
+    """Yaw, pitch and roll of an estimator, VINS', have no yaw where its x axis is upright."""
+    spec = SyntheticRecording.model_validate({"sensors": ["Imu"], "rig": mounted, "durationSeconds": 30})
+    turned = SyntheticMotion(spec).at(np.arange(0.0, 30.0, 0.01)).rotation @ rig.imu_pose(spec)[:3, :3]
+    angle = np.degrees(np.arccos(np.abs(turned[:, 2, 0])))
+    assert angle.min() == pytest.approx(nearest, abs=0.2)

@@ -69,7 +69,7 @@ def test_quaternions_turn_as_their_rotations_do() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("given", [{}, {"rig": "Euroc"}, {"vibration": {}}], ids=str)
+@pytest.mark.parametrize("given", [{}, {"rig": "Euroc"}, {"rig": "Mav"}, {"vibration": {}}], ids=str)
 def test_integrating_the_imu_gives_the_ground_truth(given: dict[str, object]) -> None:
     rate = 2000.0
     spec = SyntheticRecording.model_validate(SPEC.model_dump() | given)

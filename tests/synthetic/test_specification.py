@@ -28,7 +28,7 @@ def test_outside_names_are_camel_case_and_survive_a_round_trip() -> None:
         ({"camera": {"rate": 30.0, "exposureSeconds": 0.05}}, "0.0333"),
         ({"lidar": {"minRange": 4.0, "maxRange": 3.0}}, "maxRange"),
         ({"noise": float("nan")}, "noise"),
-        ({"rig": "Flat"}, "'Askew' or 'Euroc'"),
+        ({"rig": "Flat"}, "'Askew', 'Euroc' or 'Mav'"),
         ({"vibration": {"minFrequency": 6.0, "maxFrequency": 4.0}}, "maxFrequency 4.0 must not be less"),
         ({"vibration": {"amplitudeMetres": 0.5}}, "amplitudeMetres"),
         ({"vibration": {}, "imu": {"rate": 19.9}}, "rate"),

@@ -15,7 +15,7 @@ import numpy as np
 
 from slamhive_eval import rotation
 from slamhive_eval.errors import OptionError
-from slamhive_eval.statistics import Statistics
+from slamhive_eval.statistics import Statistics, chi_square_quantile
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -57,6 +57,32 @@ class Consistency:
         errors, sigmas = np.abs(self.errors[self.used]), self.sigmas[self.used]
         return {k: np.mean(errors <= k * sigmas, axis=0) for k in SIGMAS if len(errors)}
 
+    @property
+    def bounds(self) -> tuple[float, float] | None:
+        """Bounds that the mean NEES of consistent, independent errors stays within in 95 %; None of none.
+
+        n times the mean is chi-square of n·d degrees (Bar-Shalom et al. 2001, section 5.4.2). Errors of
+        one run follow one another: a mean a little outside proves nothing.
+        """
+        n = len(self.nees)
+        if not n:
+            return None
+        low, high = (chi_square_quantile(share, n * self.dimensions) / n for share in (0.025, 0.975))
+        return low, high
+
+    def summary(self) -> dict[str, Any]:
+        """The NEES alone, as plain JSON data; nothing but the count where no covariance has an inverse."""
+        told: dict[str, Any] = {
+            "count": len(self.nees),
+            "withoutCovariance": int(np.count_nonzero(~self.used)),
+        }
+        if self.bounds is not None:
+            mean = float(np.mean(self.nees))
+            told["mean"] = mean if math.isfinite(mean) else None
+            told["low"], told["high"] = self.bounds
+            told["within95"] = float(np.mean(self.nees <= CHI_SQUARE_95[self.dimensions]))
+        return told
+
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON data; expectations of consistent Gaussian errors stand beside what was found."""
         statistics = Statistics.of(self.nees)
@@ -68,6 +94,7 @@ class Consistency:
             "anees": statistics.mean / self.dimensions if statistics else None,
             "nees": statistics.as_dict() if statistics else None,
             "neesExpected": float(self.dimensions),
+            "neesMeanBounds": list(self.bounds) if self.bounds else None,
             "neesWithin95": float(np.mean(inside)) if len(inside) else None,
             "withinSigma": [
                 {"sigma": k, "expected": math.erf(k / math.sqrt(2.0)), "shares": shares.tolist()}

@@ -3,11 +3,11 @@
 
 import numpy as np
 from adapter_frames import JoinedFrames, write_numbers
+from adapter_kiss_icp import configure
 from adapter_recording import decode_cloud, pose_stamp
 from adapter_ros2 import Poses, RosNode
 from adapter_support import Run, Stopwatch, run_adapter
 from kiss_icp.kiss_icp import KissICP
-from lockstep import configure
 from sensor_msgs.msg import PointCloud2
 
 

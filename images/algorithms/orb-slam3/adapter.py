@@ -24,6 +24,7 @@ from adapter_recording import Recording, decode_image, decode_imu
 from adapter_support import (
     NANOSECONDS,
     AdapterError,
+    HealthLog,
     Run,
     Stopwatch,
     Trajectory,
@@ -44,6 +45,9 @@ IMU = "-inertial"
 
 SMALLEST_LEVEL = 33
 """Width and height in pixels that the smallest level of the pyramid must have, or ORB-SLAM3 falls over."""
+
+FLAGS = {"OK": "ok", "OK_KLT": "ok", "RECENTLY_LOST": "degraded"}
+"""Words of health.csv for its states; of all others it is lost."""
 
 WAITING_FRAMES = 200
 """Frames that wait for inertial samples at most: more would fill the memory where the samples have ended."""
@@ -207,6 +211,7 @@ class Tracker:
     Attributes:
         stamps: Seconds that ORB-SLAM3 was given, and the stamps in ns that they are.
         online: Poses as they were tracked, with an IMU from its initialisation on.
+        health: Its state after each frame, and how many points of the map it saw in it.
         watch: The time of each frame.
         tracked: Frames with a pose.
     """
@@ -223,6 +228,7 @@ class Tracker:
         self._begun = False
         self.stamps: dict[float, int] = {}
         self.online = Trajectory()
+        self.health = HealthLog()
         self.watch = Stopwatch()
         self.tracked = 0
 
@@ -247,11 +253,13 @@ class Tracker:
         if self._inertial and np.ptp(images[0].data) <= self._threshold:
             # No corner can be in it, and with an IMU ORB-SLAM3 falls over a frame without one.
             self.watch.seconds.append(0.0)
+            self.health.add(stamp, 0, "lost")
             return None
         inertial = {"imu": self._rows(seconds)} if self._inertial else {}
         with self.watch.frame():
             result = self._process(*self._rig.prepare(*(image.data for image in images)), seconds, **inertial)
         self._begun = True
+        self.health.add(stamp, result.num_tracked_points, FLAGS.get(result.state.name, "lost"))
         # Of a frame that was just lost it has a pose too: a guess, unless the IMU gave it.
         valid = result.pose_valid if self._inertial else result.ok
         if not valid or result.pose_wc is None or not np.isfinite(result.pose_wc).all():
@@ -394,6 +402,7 @@ def program(run: Run) -> None:
         raise AdapterError(f"{recording.name} has no {' and '.join(roles)} images of the same time")
     trajectory, keyframes = tracker.finish(limit_seconds=30.0)
     tracker.online.write(run.output / "trajectory.online.txt")
+    tracker.health.write(run.output / "health.csv")
     keyframes.write(run.output / "trajectory.keyframes.txt")
     numbers = {
         "framesLost": len(stamps) - len(trajectory.stamps),

@@ -5,9 +5,9 @@ import sys
 
 from adapter_frames import InertialScans, write_numbers
 from adapter_recording import decode_cloud, decode_imu, pose_stamp
+from adapter_rko_lio import configure, point_stamps
 from adapter_ros2 import Poses, RosNode
 from adapter_support import Run, Stopwatch, run_adapter
-from lockstep import configure, point_stamps
 from rko_lio.lio import LIO
 from rko_lio.rko_lio_pybind import InputError, RegistrationError
 from sensor_msgs.msg import Imu, PointCloud2

@@ -7,37 +7,11 @@ belongs to the end of the scan.
 
 import sys
 
-import numpy as np
-from adapter_recording import Cloud, Item, Recording, decode_cloud, decode_imu, inertial_order, pose_stamp
-from adapter_support import NANOSECONDS, Run, Stopwatch, Trajectory, run_adapter, write_results
-from rko_lio.config import LIOConfig
+from adapter_recording import Recording, decode_cloud, decode_imu, inertial_order, pose_stamp
+from adapter_rko_lio import configure, point_stamps
+from adapter_support import Run, Stopwatch, Trajectory, run_adapter, write_results
 from rko_lio.lio import LIO
 from rko_lio.rko_lio_pybind import InputError, RegistrationError
-
-
-def configure(run: Run) -> LIOConfig:
-    """Translate the parameters to RKO-LIO's own configuration."""
-    return LIOConfig(
-        deskew=run.parameter("deskew"),
-        max_iterations=run.parameter("maxIterations"),
-        voxel_size=run.parameter("voxelSize"),
-        max_range=run.parameter("maxRange"),
-        min_range=run.parameter("minRange"),
-        convergence_criterion=run.parameter("convergenceCriterion"),
-        max_correspondence_distance=run.parameter("maxCorrespondenceDistance"),
-        max_num_threads=run.cores,
-        initialization_phase=run.parameter("initializationPhase"),
-        max_expected_jerk=run.parameter("maxExpectedJerk"),
-        double_downsample=run.parameter("doubleDownsample"),
-        min_beta=run.parameter("minBeta"),
-    )
-
-
-def point_stamps(item: Item, cloud: Cloud, otherwise: int) -> np.ndarray:
-    """Sensor time of each point in ns, the same for all if the recording doesn't say."""
-    if cloud.times is None:
-        return np.full(len(cloud.points), otherwise, np.int64)
-    return np.asarray(item.stamp + np.rint(cloud.times * NANOSECONDS).astype(np.int64))
 
 
 def program(run: Run) -> None:

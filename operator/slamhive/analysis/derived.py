@@ -64,6 +64,8 @@ _IMAGE = "provenance.imageID"
 """There where it ran from an image: a process and a container of an algorithm don't supersede each other."""
 _ALGORITHM = ("provenance.algorithmHash", _ENVIRONMENT)
 _DATASET = ("provenance.datasetSha256", "provenance.preparation")
+_PREPARED_BY = "provenance.preparedBy"
+"""That of each program by itself: a dataset may have several."""
 _DIGITS = 8
 
 
@@ -260,10 +262,12 @@ def _superseded(frame: Frame, sweeps: Sequence[SweepVersion]) -> Column:
     reasons = (ALGORITHM_CHANGED, DATASET_CHANGED, SWEEP_EDITED)
     images, _ = _codes(frame, _IMAGE)
     executor = (np.minimum(images, 0), [_IMAGE])
-    for reason, owner, names in ((0, "algorithm", _ALGORITHM), (1, "dataset", _DATASET)):
+    by = _codes(frame, "input.preparedBy")
+    for reason, owner, names in ((0, "algorithm", _ALGORITHM), (1, "dataset", (*_DATASET, _PREPARED_BY))):
         names_of = _codes(frame, owner)
         for name in names:
             parts = [*place, names_of, *([executor] if name == _ENVIRONMENT else [])]
+            parts += [by] if name == _PREPARED_BY else []
             group = _crossed(parts, len(frame))
             codes, values = _codes(frame, name)
             if len(values) > 1:

@@ -87,7 +87,7 @@ TIMES = frozenset({"created", "started", "finished"})
 MAX_COLUMNS = 1500
 """Columns that a table has at most; an evaluator that invents a name for each run fills no memory."""
 
-LEFT_OUT = frozenset({"transform", "notes", "pointErrors"})
+LEFT_OUT = frozenset({"transform", "notes", "pointErrors", "healthLosses", "healthWarnings"})
 """Names of results that are no figures."""
 
 _KEPT = frozenset({"id", "uid", "name", "note", "tags", "evaluation", "outcome", "coverage"})

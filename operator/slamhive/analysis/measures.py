@@ -73,7 +73,10 @@ _PERTURBATIONS = (
     ("lidar.rangeNoise", "range noise", "m"),
     ("lidar.dropPoints", "share of points dropped", ""),
     ("lidar.sector", "sector without points", "°"),
+    ("lidar.rain", "share of returns of rain", ""),
+    ("lidar.dropScans", "share of scans dropped", ""),
     ("images.blur", "motion blur", "px"),
+    ("images.motionBlur", "exposure that blurs", "ms"),
     ("images.noise", "image noise", "of 255"),
     ("images.gamma", "gamma", ""),
     ("images.exposureStep", "exposure step", "stops"),
@@ -91,10 +94,22 @@ _PERTURBATIONS = (
     *((f"timeOffset.{role}", f"time offset of {role}", "s") for role in Role),
     *((f"drift.{role}", f"clock drift of {role}", "s/s") for role in Role),
     *((f"jitter.{role}", f"stamp jitter of {role}", "s") for role in Role),
+    *((f"late.{role}", f"delay of delivery of {role}", "s") for role in Role),
+    *((f"swapped.{role}", f"share of {role} out of order", "") for role in Role),
     *((f"rotation.{role}", f"told rotation of {role}", "°") for role in Role),
     *((f"translation.{role}", f"told translation of {role}", "m") for role in Role),
 )
 """Perturbations below ``input.perturb``: column, text, unit."""
+
+_NEES = (
+    ("mean", "NEES of {} mean"),
+    ("low", "NEES of {}, lower bound of its mean"),
+    ("high", "NEES of {}, upper bound of its mean"),
+    ("within95", "share of {}s within 95 %"),
+    ("count", "poses with a covariance of {}"),
+    ("withoutCovariance", "poses without a covariance of {}"),
+)
+"""Figures below ``health.nees.position``: name and text."""
 
 _LOWER, _HIGHER = Better.LOWER, Better.HIGHER
 _error = partial(Measure, better=_LOWER, is_error=True)
@@ -165,12 +180,62 @@ _TABLE = (
     Measure("relations.byTime[].fromSeconds", "", "s"),
     Measure("relations.byTime[].toSeconds", "", "s"),
     Measure("relations.byTime[].count"),
+    # What the system said of itself. None is an error: those of lost runs are what it is all about, and they
+    # are not to stand behind all others.
+    Measure("health.rows", "rows of health"),
+    Measure("health.seconds", "time judged", "s"),
+    Measure("health.lostSeconds", "time lost", "s", _LOWER),
+    Measure("health.losses", "losses", "", _LOWER),
+    Measure("health.warning.seconds", "time warned", "s"),
+    Measure("health.warning.losses", "losses warned of"),
+    Measure(
+        "health.warning.lead",
+        "warning ahead of a loss",
+        "s",
+        _HIGHER,
+        short="lead",
+        meaning="mean over a run's losses that were warned of; below 0 the warning came after",
+    ),
+    Measure("health.warning.leadMin", "least warning ahead of a loss", "s", _HIGHER, short="least lead"),
+    Measure(
+        "health.false.share",
+        "false share of warnings",
+        "",
+        _LOWER,
+        short="false",
+        meaning="share of the time warned that was neither lost nor just before a loss",
+    ),
+    Measure(
+        "health.missed.share",
+        "share of lost time without a warning",
+        "",
+        _LOWER,
+        short="missed",
+        meaning="share of the time lost without a warning",
+    ),
+    Measure("health.missed.losses", "losses not warned of", "", _LOWER),
+    Measure(
+        "health.auc",
+        "AUC of health",
+        "",
+        _HIGHER,
+        meaning="probability that a value given while off is below one given while not; 0.5 is a guess",
+    ),
+    Measure("health.values", "values of health"),
+    *(
+        Measure(f"health.nees.{part}.{name}", text.format(part))
+        for part in ("position", "rotation")
+        for name, text in _NEES
+    ),
     # What a run was given, and what it took.
     Measure("input.pace", "pace"),
     Measure("input.frameRate", "frame rate", "Hz"),
     Measure("input.resolution", "resolution"),
     Measure("input.start", "start", "s"),
     Measure("input.duration", "duration", "s"),
+    Measure("input.lidar.minRange", "shortest range kept", "m"),
+    Measure("input.lidar.maxRange", "longest range kept", "m"),
+    Measure("input.lidar.rings", "rings kept"),
     *(Measure(f"input.perturb.{name}", text, unit) for name, text, unit in _PERTURBATIONS),
     Measure("prepared.frameRate", "prepared frame rate", "Hz"),
     Measure("prepared.recordedFrameRate", "recorded frame rate", "Hz"),

@@ -189,24 +189,24 @@ def measure(
     if isinstance(reference, Relations):
         name = name or RELATIONS
         return _measure_relations(reference, estimate, settings, subject, name, pieces=pieces)
-    options = _options(settings, subject)
+    asked = options(settings, subject)
     if isinstance(reference, ControlPoints):
-        values = _measure_points(reference, estimate, options, pieces)
+        values = _measure_points(reference, estimate, asked, pieces)
     elif pieces is None or estimate is None:
-        values = evaluate(reference, estimate, options).as_dict()
+        values = evaluate(reference, estimate, asked).as_dict()
     else:
-        values = evaluate_pieces(reference, estimate, pieces, options, most=_MOST_MAPS)
+        values = evaluate_pieces(reference, estimate, pieces, asked, most=_MOST_MAPS)
     outcome = Outcome(values.pop("outcome"))
     coverage = values.pop("coverage")
     return Result(
-        evaluation=name or options.alignment,
+        evaluation=name or asked.alignment,
         outcome=outcome,
         coverage=coverage,
         values=_tagged(values, settings),
     )
 
 
-def _options(settings: EvaluationSettings, subject: Subject) -> Options:
+def options(settings: EvaluationSettings, subject: Subject) -> Options:
     """Return the settings in the evaluator's words.
 
     Raises:

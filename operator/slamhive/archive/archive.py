@@ -58,7 +58,10 @@ FILTERS = (
 )
 """Columns that ``runs`` and ``count`` can select by; everything else is the analysis' business."""
 
-ORIGIN = ("specHash", "algorithmHash", "environment", "imageID", "datasetSha256", "preparation")
+ORIGIN = (
+    *("specHash", "algorithmHash", "environment", "imageID", "datasetSha256", "preparation"),
+    "preparedBy",
+)
 """Fields of a run's provenance that its content hash is made from."""
 
 REMARKS = ("note", "tags", "noted")

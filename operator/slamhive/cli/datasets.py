@@ -200,6 +200,9 @@ def prepare_variant(
     duration: Length = None,
     max_range: MaxRange = None,
     rings: Rings = None,
+    by: Annotated[
+        str | None, typer.Option("--by", metavar="PROGRAM", help="Program of the dataset's preparations.")
+    ] = None,
     form: Annotated[DataFormat | None, typer.Option("--format", help="Format; default: as recorded.")] = None,
 ) -> None:
     """Make the variant of a dataset that a run would get, and say where it is.
@@ -207,6 +210,7 @@ def prepare_variant(
     Example: slamhive dataset prepare synthetic-camera --sensors stereo --resolution 0.5 --frame-rate 7.5
     """
     from slamhive.data.making.preparation import prepare
+    from slamhive.data.making.programmed import prepare_by_program
 
     options = _input(frame_rate, resolution, start, duration, max_range, rings)
     with Work(f"preparing {name}") as work:
@@ -214,14 +218,13 @@ def prepare_variant(
         work.follow(bench.making)
         with bench.archive:
             entry = bench.dataset(name)
-            variant = prepare(
-                entry,
-                ROLES[sensors],
-                options,
-                [form or DataFormat(entry.dataset.spec.recording.format)],
-                bench.home.folder("variants"),
-                work.share,
-            )
+            forms = [form or DataFormat(entry.dataset.spec.recording.format)]
+            wanted = (entry, ROLES[sensors], options, forms, bench.home.folder("variants"))
+            preparer = bench.preparer({"datasetRef": {"name": name}, "input": {"preparedBy": by}})
+            if preparer is None:
+                variant = prepare(*wanted, work.share)
+            else:
+                variant = prepare_by_program(*wanted, preparer, work.share)
     _remark_frames(variant.frames, variant.frame_rate, variant.duration_seconds, variant.resolution)
     out.print(str(variant.path), soft_wrap=True)
 

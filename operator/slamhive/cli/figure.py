@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +14,7 @@ import typer
 from slamhive.analysis import Outcomes
 from slamhive.cli.parts.choosing import Also, EvaluationName, Superseded, Sweeps, Where, choose_runs, select
 from slamhive.cli.parts.console import remark
+from slamhive.cli.parts.robustness import FailingRule, Quantile, card_wish
 from slamhive.figures.asking import FigureKind, Log, Wish
 from slamhive.figures.making import form_of, numbers_file, picture, save
 from slamhive.figures.paper import Paper
@@ -86,6 +88,8 @@ def figure(
     published: Annotated[
         bool, typer.Option("--published", help="Add published numbers on the same datasets, as hollow marks.")
     ] = False,
+    failing: FailingRule = None,
+    quantile: Quantile = None,
     where: Where = None,
     sweep: Sweeps = None,
     evaluation: EvaluationName = None,
@@ -104,6 +108,11 @@ def figure(
     wish = Wish(kind, x, y, by, facet, outcomes, statistic, log, limits is Hold.ROBUST, each)
     if each and not kind.is_of_files:
         raise InputError("--each: every run is drawn by trajectories, error-over-time and usage")
+    if kind is FigureKind.ROBUSTNESS:
+        wish.refuse(y="--y: a robustness card shows axes alone, --x", by="--by: a row is a system already")
+        wish = replace(wish, robustness=card_wish(x, failing, quantile))
+    elif failing is not None or quantile is not None:
+        raise InputError("--failing, --quantile: a rule for robustness alone")
     selection = select(sweep, evaluation, where, superseded=superseded)
     home = Home.from_environment()
     others = homes_beside(home, also)

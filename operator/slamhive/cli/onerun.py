@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     Row = dict[str, Any]
 
 _BY_TIME = "relations.byTime["
+_ELSEWHERE = ("transform", "id", _BY_TIME, "healthLosses", "healthWarnings")
+"""Beginnings of the columns that the table of a run leaves out."""
 _SHOWN = 10
 
 
@@ -268,7 +270,7 @@ def _current(records: Sequence[RunRecord], run: str) -> list[RunRecord]:
 
 
 def _show_record(record: RunRecord, rows: Sequence[Row], gone: str | None) -> None:
-    names = [name for name in rows[0] if not name.startswith(("transform", "id", _BY_TIME))]
+    names = [name for name in rows[0] if not name.startswith(_ELSEWHERE)]
     common = [name for name in names if all(name in row and row[name] == rows[0][name] for row in rows)]
     out.print(record.name, style="bold", markup=False)
     plain = {name: Metric.parse(name) for name in names}
@@ -292,6 +294,7 @@ def _show_record(record: RunRecord, rows: Sequence[Row], gone: str | None) -> No
                 remark(f"{result.evaluation}: {note}")
         _show_relations(result)
         _show_points(result)
+        _show_losses(result)
     if gone:
         out.print(f"{gone}: only the record is left", style="bold", markup=False)
     if record.log_tail:
@@ -330,3 +333,22 @@ def _show_points(result: Result) -> None:
         out.print(f"and {plural(left_out, 'point')} with smaller errors")
     for note in result.values.get("notes") or []:
         out.print(f"note: {note}", markup=False)
+
+
+def _show_losses(result: Result) -> None:
+    """Show when a run with health was lost, and how long before it warned."""
+    losses = result.values.get("healthLosses") or []
+    if not losses:
+        return
+    warns = "warning" in (result.values.get("health") or {})
+    lines = [
+        [
+            f"{one['begin']:.3f}",
+            f"{one['end'] - one['begin']:.3f}",
+            "–" if not warns else "missed" if one["lead"] is None else f"{one['lead']:.3f}",
+        ]
+        for one in losses[:_SHOWN]
+    ]
+    show(out, [f"losses, {result.evaluation}: begin [s]", "for [s]", "warned before [s]"], lines)
+    if len(losses) > _SHOWN:
+        out.print(f"and {len(losses) - _SHOWN} more")

@@ -29,7 +29,7 @@ _TRACEBACK = re.compile(
 _REPORT = re.compile(r"\[ *(DEBUG|INFO|WARN|WARNING)\] ?\[[^\]]*\]")
 _KNOWN = {
     *("trajectory.txt", "trajectory.online.txt", "trajectory.keyframes.txt"),
-    *("metrics.json", "segments.csv"),
+    *("metrics.json", "segments.csv", "health.csv", "covariances.csv"),
 }
 
 

@@ -82,7 +82,9 @@ class Bench:
             subject = run.subject()
             result = measure(truth, estimate, self.settings, subject, self.evaluation, pieces=pieces)
             beside = partial(self._open, run)
-            result = with_others(result, beside, truth, self.settings, subject, pieces=pieces)
+            result = with_others(
+                result, beside, truth, self.settings, subject, estimate=estimate, pieces=pieces
+            )
             line |= {"result": result.as_json()}
             json.dumps(line, allow_nan=False)
             return line  # noqa: TRY300 - what JSON can't say is an error of this run

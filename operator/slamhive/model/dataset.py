@@ -13,6 +13,7 @@ from slamhive.model.errors import InputError, suggestion
 from slamhive.model.repair import Repair, SensorRepair
 from slamhive.model.sensors import ROLE_TYPES, ROLES, STAND_INS, Extrinsics, Role, Sensor, SensorType
 from slamhive.model.synthetic import SyntheticRecording
+from slamhive.model.variant import PreparingProgram, misnamed
 from slamhive_eval.errors import OptionError
 from slamhive_eval.formats.columns import TableFormat
 
@@ -224,6 +225,10 @@ class DatasetSpec(Model):
     repair: Repair | None = optional(
         "What the preparation changes in the recording's messages, and in the stamps of its ground truth."
     )
+    preparations: dict[str, PreparingProgram] | None = optional(
+        "Programs by name that make other frames of the recording's: runs name one as input.preparedBy.",
+        max_length=32,
+    )
     gravity_aligned: bool = Field(default=False, description="Whether the ground truth's z axis points up.")
     attributes: dict[str, Scalar] = Field(
         default_factory=dict, description="Free attributes to select and plot by, such as loops: 2."
@@ -240,6 +245,33 @@ class DatasetSpec(Model):
     def is_to_fetch(self) -> bool:
         """Tell whether its recording comes from the catalogue, by its name alone."""
         return self.catalogue is not None and not self.recording.files and self.recording.synthetic is None
+
+    @model_validator(mode="after")
+    def _names_programs(self) -> Self:
+        if misfit := misnamed(self.preparations or {}):
+            raise ValueError(misfit)
+        return self
+
+    def preparation(self, name: str) -> PreparingProgram:
+        """Return the program of a name that prepares the recording.
+
+        Raises:
+            InputError: there is none.
+        """
+        known = self.preparations or {}
+        if name not in known:
+            raise InputError(f"input.preparedBy: no preparation {name!r}{suggestion(name, known)}")
+        return known[name]
+
+    def recorded_roles(self, roles: Iterable[Role], program: str | None) -> tuple[Role, ...]:
+        """Return the roles that the recording must fill for runs of some roles.
+
+        Args:
+            roles: what the runs take.
+            program: the program that prepares it; None: none, and unknown ones count as none.
+        """
+        found = (self.preparations or {}).get(program or "")
+        return found.recorded(roles) if found else tuple(roles)
 
     @model_validator(mode="after")
     def _names_a_frame(self) -> Self:

@@ -13,7 +13,7 @@ from slamhive.model.base import Choice, Model, RelativePath, optional
 ColumnName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 _TAKEN = (
     *("trajectory.txt", "trajectory.online.txt", "trajectory.keyframes.txt"),
-    *("metrics.json", "segments.csv", "usage.csv"),
+    *("metrics.json", "segments.csv", "usage.csv", "health.csv", "covariances.csv"),
 )
 
 

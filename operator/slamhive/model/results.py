@@ -243,6 +243,7 @@ class Provenance(Model):
     image_id: str | None = optional("Digest of the image that ran.", alias="imageID")
     dataset_sha256: str | None = optional("Checksum of the recording that the variant was made of.")
     preparation: str | None = optional("Version of the preparation of recordings.")
+    prepared_by: str | None = optional("Digest of the program that made the frames of the recording.")
     variant: str | None = optional("Name of the prepared form of the dataset.")
     node: str | None = optional("Machine that it ran on.")
     cpu_model: str | None = optional("Model of that machine's processor.")

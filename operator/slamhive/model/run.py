@@ -33,12 +33,17 @@ class LidarPerturbation(Model):
     sector: float | None = optional(
         "Degrees of azimuth, centred behind the sensor (-x), without points.", ge=0, le=350
     )
+    rain: float | None = optional("Share of the points that return from nearer, as of drops.", ge=0, le=0.99)
+    drop_scans: float | None = optional("Share of the scans left out.", ge=0, le=0.95)
 
 
 class ImagesPerturbation(Model):
     """Perturbation of a camera's images, in pixels and brightness of those that were recorded."""
 
     blur: float | None = optional("Motion along the rows during the exposure, px.", ge=0, le=200)
+    motion_blur: float | None = optional(
+        "Time of exposure, ms, over which images are blurred by the platform's turning.", ge=0, le=100
+    )
     noise: float | None = optional("Sigma of noise on each value, of 255.", ge=0, le=128)
     gamma: float | None = optional("Exponent of the brightness from 0 to 1; 1: none.", ge=0.1, le=10)
     exposure_step: float | None = optional(
@@ -82,6 +87,14 @@ class Perturbation(Model):
         default_factory=dict,
         description="Sigma of noise on the stamps of a role's sensor, s; their order stays.",
     )
+    late: dict[str, Annotated[float, Field(ge=0, le=5)]] = Field(
+        default_factory=dict,
+        description="Seconds by which messages of a role's sensor are delivered later; stamps stay.",
+    )
+    swapped: dict[str, Annotated[float, Field(ge=0, le=1)]] = Field(
+        default_factory=dict,
+        description="Share of a role's messages that are delivered in the place of a neighbour; stamps stay.",
+    )
     rotation: dict[str, Annotated[float, Field(ge=0, le=180)]] = Field(
         default_factory=dict,
         description="Degrees by which a role's sensor is told turned, about a random axis.",
@@ -101,14 +114,15 @@ class Perturbation(Model):
         return self
 
 
-OF_ROLES = ("time_offset", "drift", "jitter", "rotation", "translation")
+OF_ROLES = ("time_offset", "drift", "jitter", "late", "swapped", "rotation", "translation")
 """Fields of a perturbation that go by role."""
-STAMPS, TOLD = ("timeOffset", "drift", "jitter"), ("rotation", "translation")
-"""Those of them that move stamps, and those that change what an algorithm is told, as they are written."""
+STAMPS, DELIVERY = ("timeOffset", "drift", "jitter"), ("late", "swapped")
+TOLD = ("rotation", "translation")
+"""Those of them that move stamps, times of delivery, and what an algorithm is told, as they are written."""
 _NEUTRAL = {"gamma": 1}
 _RANDOM = frozenset(
-    {"rangeNoise", "dropPoints", "noise", "dropFrames", "duplicateFrames", "occlusion"}
-    | {"accelerometerNoise", "gyroscopeNoise", "jitter", *TOLD}
+    {"rangeNoise", "dropPoints", "rain", "dropScans", "noise", "dropFrames", "duplicateFrames"}
+    | {"occlusion", "swapped", "accelerometerNoise", "gyroscopeNoise", "jitter", *TOLD}
 )
 DEFAULT_SEED = 1
 
@@ -138,9 +152,15 @@ def without_idle(perturb: Mapping[str, Any]) -> dict[str, Any]:
     return found | ({"seed": seed} if drawn and seed not in {None, DEFAULT_SEED} else {})
 
 
+NO_PROGRAM = "none"
+"""Value of `InputOptions.prepared_by` that means the recording as it is."""
+
+
 def essential(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the ``input`` of a spec that hashes are of: without perturbations that change nothing."""
+    """Return the ``input`` of a spec that hashes are of: without what changes nothing of the recording."""
     rest = {key: value for key, value in options.items() if key != "perturb"}
+    if rest.get("preparedBy") == NO_PROGRAM:
+        del rest["preparedBy"]
     perturb = without_idle(options.get("perturb") or {})
     return rest | ({"perturb": perturb} if perturb else {})
 
@@ -160,9 +180,18 @@ class InputOptions(Model):
     rate: float | None = Field(default=None, gt=0, le=100, description="Speed of playback in real time.")
     lidar: LidarInput | None = Field(default=None, description="Filter of LiDAR scans.")
     perturb: Perturbation | None = Field(default=None, description="What is made worse on purpose.")
+    prepared_by: str | None = optional(
+        "Program of the Dataset's preparations that makes other frames of what is left; none: no program.",
+        max_length=40,
+    )
     remap: dict[str, str] = Field(
         default_factory=dict, description="Sensor of the dataset for a role, such as camera: back."
     )
+
+    @property
+    def program(self) -> str | None:
+        """Return the name of the program that prepares the recording; None where none does."""
+        return None if self.prepared_by == NO_PROGRAM else self.prepared_by
 
 
 class Resources(Model):

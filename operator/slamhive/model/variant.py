@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Description of a prepared variant, and findings of its recording, as statuses and homes keep them."""
+"""Prepared variants: programs that make them, their descriptions, and findings of their recordings."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+import re
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-from pydantic import ConfigDict, Field, StringConstraints
+from pydantic import ConfigDict, Field, StringConstraints, model_validator
 
-from slamhive.model.base import Choice, Model, Scalar
+from slamhive.model.algorithm import LocalProgram
+from slamhive.model.base import Choice, Duration, Image, Model, Quantity, Scalar, optional
 from slamhive.model.configuration import PreparedRecording
-from slamhive.model.sensors import Extrinsics  # noqa: TC001 - the type of a field
+from slamhive.model.errors import suggestion
+from slamhive.model.run import NO_PROGRAM
+from slamhive.model.sensors import ROLE_TYPES, Extrinsics, Role, SensorType
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -24,6 +28,71 @@ SUSPICION_LENGTH = 1000
 """Characters of a description, which has 4096 bytes in all, compressed."""
 TRUTH = "groundTruth"
 """Sensor of findings of the ground truth."""
+
+
+class GivenSensor(Model):
+    """Sensor that a preparing program gives: a picture for each frame of a camera, of the same view."""
+
+    follows: Role = Field(description="Role of the camera whose frames, calibration and mounting it has.")
+    depth_scale: float | None = optional("Depth: units of its images per metre.", gt=0)
+
+
+class PreparingProgram(Model):
+    """Program that makes other frames of those of a Dataset, such as masked images, or depth."""
+
+    description: str = Field(default="", description="One sentence.")
+    image: Image | None = optional("Container image.")
+    command: list[str] = Field(
+        default_factory=list, description="Program in the container; default: its own."
+    )
+    local: LocalProgram | None = optional("How to run it without a container.")
+    gives: dict[str, GivenSensor] | None = optional("Sensors by role that the recording hasn't got.")
+    memory: Quantity = Field(default="4Gi", description="Memory.")
+    disk: Quantity = Field(default="20Gi", description="Disk space for what it writes.")
+    timeout: Duration = Field(default="1h", description="Longest time for a recording.")
+
+    @model_validator(mode="after")
+    def _is_program(self) -> Self:
+        if self.image is None and self.local is None:
+            raise ValueError("give an image, or local for a program without a container")
+        roles = [str(role) for role in Role]
+        for name in self.gives or {}:
+            if name not in roles:
+                raise ValueError(f"gives: unknown role {name!r}{suggestion(name, roles)}")
+        for role, given in self.given.items():
+            if ROLE_TYPES[role] not in {SensorType.CAMERA, SensorType.DEPTH_CAMERA}:
+                raise ValueError(f"gives.{role}: only cameras can be given, and it is a {ROLE_TYPES[role]}")
+            if ROLE_TYPES[given.follows] is not SensorType.CAMERA or given.follows in self.given:
+                raise ValueError(
+                    f"gives.{role}.follows: expected the role of a recorded camera, found {given.follows!r}"
+                )
+            if (ROLE_TYPES[role] is SensorType.DEPTH_CAMERA) != (given.depth_scale is not None):
+                raise ValueError(f"gives.{role}.depthScale: needed for depth, and for nothing else")
+        return self
+
+    @property
+    def given(self) -> dict[Role, GivenSensor]:
+        """Return the sensors that it gives, by role."""
+        return {Role(name): given for name, given in (self.gives or {}).items()}
+
+    def recorded(self, roles: Iterable[Role]) -> tuple[Role, ...]:
+        """Return the roles that a recording must fill so that the program can give those of a run."""
+        given = self.given
+        return tuple(dict.fromkeys(given[role].follows if role in given else role for role in roles))
+
+
+_PROGRAM_NAME = re.compile(r"[a-z0-9]([-a-z0-9]{0,38}[a-z0-9])?")
+
+
+def misnamed(names: Iterable[str]) -> str | None:
+    """Return a sentence on a preparing program's name that can't be one; None where there is no such."""
+    for name in names:
+        if name == NO_PROGRAM:
+            return f"preparations: {name!r} means no program; choose another name"
+        if not _PROGRAM_NAME.fullmatch(name):
+            allowed = "lower-case letters, digits and -, at most 40"
+            return f"preparations: {name!r} can't be a name; expected {allowed}"
+    return None
 
 
 class Severity(Choice):

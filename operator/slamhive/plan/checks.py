@@ -14,14 +14,26 @@ from typing import TYPE_CHECKING, Any
 from slamhive.model.errors import InputError, suggestion
 from slamhive.model.variant import OpenFinding, Severity, preventing
 from slamhive.plan.effects import start_problem
-from slamhive.plan.paths import ALGORITHM, DATASET, INPUT, PACE, PARAMETERS, REMAP, SENSORS, bounded, written
-from slamhive.plan.resolution import mode_of, pace_problem, parameter_problem, role_problems
+from slamhive.plan.paths import (
+    ALGORITHM,
+    DATASET,
+    INPUT,
+    PACE,
+    PARAMETERS,
+    PREPARED_BY,
+    REMAP,
+    SENSORS,
+    bounded,
+    written,
+)
+from slamhive.plan.resolution import mode_of, pace_problem, parameter_problem, program_problem, role_problems
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
     from slamhive.model.algorithm import Algorithm, Mode
     from slamhive.model.dataset import Dataset
+    from slamhive.model.sensors import Role
     from slamhive.plan.effects import Effect
     from slamhive.plan.expansion import Plan
     from slamhive.plan.paths import Path, Settings
@@ -112,9 +124,10 @@ class _Check:
             chosen, _ = mode_of(plan.algorithms.get(name or ""), value(settings, SENSORS))
             if data not in faulty or chosen is None or dataset is None:
                 continue
-            remap = self._remap(settings)
-            key = (data, chosen.name, chosen.needs, *sorted(remap.items()))
-            self._once(key, row, DATASET, partial(_prevented, findings[data], chosen, dataset, remap))
+            remap, program = self._remap(settings), value(settings, PREPARED_BY)
+            roles = dataset.spec.recorded_roles(chosen.needs, program)
+            key = (data, chosen.name, roles, *sorted(remap.items()))
+            self._once(key, row, DATASET, partial(_prevented, findings[data], chosen, dataset, roles, remap))
         return list(self._found)
 
     def _row(self, row: int) -> None:
@@ -122,7 +135,7 @@ class _Check:
         settings, unsure = plan.given(row), plan.findings.unsure
         value = plan.assembler.value
         name, data = value(settings, ALGORITHM), value(settings, DATASET)
-        mode, pace = value(settings, SENSORS), value(settings, PACE)
+        mode, pace, program = (value(settings, path) for path in (SENSORS, PACE, PREPARED_BY))
         self._reference(row, ALGORITHM, "algorithm", name, plan.algorithms)
         self._reference(row, DATASET, "dataset", data, plan.datasets)
         algorithm, dataset = plan.algorithms.get(name or ""), plan.datasets.get(data or "")
@@ -134,10 +147,14 @@ class _Check:
             chosen, problem = mode_of(algorithm, mode)
             if mode is not None or not unsure(SENSORS):
                 self._once(("mode", name, mode), row, SENSORS, lambda: [problem] if problem else [])
-            if chosen is not None and dataset is not None and not unsure(SENSORS, REMAP):
+            if chosen is not None and dataset is not None and not unsure(SENSORS, REMAP, PREPARED_BY):
                 remap = self._remap(settings)
-                key = ("roles", name, chosen.name, data, *sorted(remap.items()))
-                self._once(key, row, SENSORS, lambda: role_problems(chosen, dataset, remap))
+                key = ("roles", name, chosen.name, data, program, *sorted(remap.items()))
+                self._once(key, row, SENSORS, lambda: role_problems(chosen, dataset, remap, program))
+        if dataset is not None:
+            self._once(
+                ("program", data, program), row, PREPARED_BY, lambda: program_problem(dataset, program)
+            )
         if not unsure(PACE):
             self._lidar(row, settings)
         if not unsure(PACE, SENSORS, ALGORITHM, DATASET):
@@ -222,12 +239,16 @@ class _Check:
 
 
 def _prevented(
-    found: Sequence[OpenFinding], mode: Mode, dataset: Dataset, remap: dict[str, str]
+    found: Sequence[OpenFinding],
+    mode: Mode,
+    dataset: Dataset,
+    roles: Sequence[Role],
+    remap: dict[str, str],
 ) -> Iterator[str]:
     try:
-        used = {dataset.spec.sensor_for(role, remap) for role in mode.needs}
+        used = {dataset.spec.sensor_for(role, remap) for role in roles}
     except InputError:  # its sensors are known when it is made
-        used = {str(role) for role in mode.needs}
+        used = {str(role) for role in roles}
     fault = preventing(found, used)
     if fault is not None:
         yield f"{mode.name} can't be run on {dataset.name}, and isn't started: {fault.sentence}"

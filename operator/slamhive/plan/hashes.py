@@ -50,8 +50,13 @@ def algorithm_hash(algorithm: AlgorithmSpec) -> str:
     return digest(normalize(body))
 
 
-def content_hash(
-    spec_hash: str, algorithm_hash: str, dataset_sha256: str, preparation: str, environment: str
+def content_hash(  # noqa: PLR0917 - all that a result depends on
+    spec_hash: str,
+    algorithm_hash: str,
+    dataset_sha256: str,
+    preparation: str,
+    environment: str,
+    prepared_by: str | None = None,
 ) -> str:
     """Return the hash of all that a result depends on, by which results are reused.
 
@@ -61,6 +66,7 @@ def content_hash(
         dataset_sha256: checksum of the recording.
         preparation: version of the preparation.
         environment: digest of the container image or of the virtual environment.
+        prepared_by: digest of the program that made the recording's frames; None: none did.
     """
     parts = {
         "algorithm": algorithm_hash,
@@ -69,7 +75,7 @@ def content_hash(
         "preparation": preparation,
         "spec": spec_hash,
     }
-    return digest(parts)
+    return digest(parts | ({"preparedBy": prepared_by} if prepared_by else {}))
 
 
 def local_uid(sweep: Sweep) -> str:

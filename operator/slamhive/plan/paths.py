@@ -39,6 +39,7 @@ REPETITION: Path = ("repetition",)
 SEED: Path = ("seed",)
 PARAMETERS: Path = ("parameters",)
 REMAP: Path = (INPUT, "remap")
+PREPARED_BY: Path = (INPUT, "preparedBy")
 
 _ALIASES = {"algorithm": ALGORITHM, "dataset": DATASET}
 PERTURB: Path = (INPUT, "perturb")

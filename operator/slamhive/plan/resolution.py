@@ -11,9 +11,10 @@ from slamhive.model.base import explain
 from slamhive.model.canonical import normalize
 from slamhive.model.catalogue import find_sequence
 from slamhive.model.errors import InputError, UnknownNameError, suggestion
-from slamhive.model.run import MappingRunSpec
+from slamhive.model.run import NO_PROGRAM, MappingRunSpec
 from slamhive.model.sensors import ROLE_TYPES, STAND_INS, SensorType
 from slamhive.model.synthetic import SyntheticSensor
+from slamhive.plan.perturbable import chosen_form, perturbation_problems
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -105,7 +106,12 @@ def run_problems(
     if problem:
         yield problem
     if mode is not None and dataset is not None:
-        yield from role_problems(mode, dataset, options.get("remap", {}))
+        yield from role_problems(mode, dataset, options.get("remap", {}), options.get("preparedBy"))
+        if algorithm is not None and options.get("perturb"):
+            form = chosen_form(dataset, algorithm.spec.formats(mode))
+            yield from perturbation_problems(options, dataset, mode.needs, form)
+    if dataset is not None:
+        yield from program_problem(dataset, options.get("preparedBy"))
     lidar = options.get("lidar") or {}
     if lidar.get("minRange", 0) >= lidar.get("maxRange", float("inf")):
         yield "input.lidar: minRange must be below maxRange"
@@ -144,8 +150,25 @@ def mode_of(algorithm: Algorithm | None, name: str | None) -> tuple[Mode | None,
     return None, f"sensors: {algorithm.name} does not support {name}, allowed: {', '.join(modes)}"
 
 
-def role_problems(mode: Mode, dataset: Dataset, remap: Mapping[str, str]) -> Iterator[str]:
-    """Yield the roles of a mode that a dataset has no sensor for."""
+def program_problem(dataset: Dataset, name: str | None) -> Iterator[str]:
+    """Yield a sentence on a program that a dataset doesn't have."""
+    if name is None or name == NO_PROGRAM or name in (dataset.spec.preparations or {}):
+        return
+    known = [*(dataset.spec.preparations or ()), NO_PROGRAM]
+    yield f"input.preparedBy: {dataset.name} has no preparation {name!r}{suggestion(name, known)}"
+
+
+def role_problems(
+    mode: Mode, dataset: Dataset, remap: Mapping[str, str], program: str | None = None
+) -> Iterator[str]:
+    """Yield the roles of a mode that a dataset has no sensor for.
+
+    Args:
+        mode: the mode.
+        dataset: the dataset.
+        remap: the run's choice of sensors for roles.
+        program: the program that prepares its recording, which may give some of them.
+    """
     try:
         sensors = sensors_of(dataset)
     except InputError as error:
@@ -154,7 +177,7 @@ def role_problems(mode: Mode, dataset: Dataset, remap: Mapping[str, str]) -> Ite
     if not sensors and dataset.spec.recording.synthetic is not None:
         return
     has = ", ".join(sorted(sensors)) or "no sensor"
-    for role in mode.needs:
+    for role in dataset.spec.recorded_roles(mode.needs, program):
         asked = remap.get(role)
         if asked is not None and asked not in sensors:
             yield f"input.remap.{role}: {UnknownNameError('sensor', asked, sensors)}"

@@ -12,7 +12,7 @@ from slamhive.analysis.grouping import where_equal
 from slamhive.analysis.measures import CAUSAL, measure_of
 from slamhive.analysis.metrics import named_final
 from slamhive.model.results import Outcome
-from slamhive_eval.evaluation import MAX_ATE_SHARE
+from slamhive_eval.evaluation import MAX_ATE_SHARE, MAX_LOCAL_SHARE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
     from slamhive.model.results import Result
 
-MOST_A_METRE = 0.25
+MOST_A_METRE = MAX_LOCAL_SHARE
 """RPE a metre up to which nothing is said: a quarter of what an estimate has that stands still, 1 m."""
 
 MOST_OF_PATH = MAX_ATE_SHARE / 2

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import yaml
 from pydantic import ValidationError
-from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
+from variants import make, read, stamps
 
-from slamhive.data.making.disturbing import Shutter, disturbed_image
+from slamhive.data.making.disturbing import RAIN_METRES, Shutter, Weather, disturbed_image, disturbed_scan
 from slamhive.data.making.preparation import prepare
 from slamhive.data.recordings.clouds import cloud_points
 from slamhive.data.recordings.images import image_pixels
@@ -22,7 +22,7 @@ from slamhive.data.synthetic.streams import stream as numbers_of
 from slamhive.model.algorithm import DataFormat
 from slamhive.model.configuration import PreparedRecording, SensorView
 from slamhive.model.errors import DataError
-from slamhive.model.run import ImagesPerturbation, InputOptions, Perturbation
+from slamhive.model.run import ImagesPerturbation, InputOptions, LidarPerturbation, Perturbation
 from slamhive.model.sensors import Role
 from slamhive.plan.configuration import run_configuration
 from slamhive.plan.misleading import misled, right_pose
@@ -32,24 +32,6 @@ if TYPE_CHECKING:
 
 TYPES = get_typestore(Stores.ROS1_NOETIC).types
 BAG1, MCAP, EUROC, KITTI = DataFormat.ROSBAG1, DataFormat.MCAP, DataFormat.EUROC, DataFormat.KITTI
-
-
-def read(path: Path) -> dict[str, list[Any]]:
-    """Read the messages of a bag by topic."""
-    found: dict[str, list[Any]] = {}
-    with AnyReader([path]) as reader:
-        for connection, _, raw in reader.messages():
-            found.setdefault(connection.topic, []).append(reader.deserialize(raw, connection.msgtype))
-    return found
-
-
-def stamps(messages: list[Any]) -> Any:
-    return np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages])
-
-
-def make(entry: Any, roles: Any, cache: Any, perturb: Any, form: Any = BAG1, **options: Any) -> Any:
-    asked = InputOptions.model_validate(options | {"perturb": perturb})
-    return prepare(entry, roles, asked, (form,), cache)
 
 
 def ranges(points: Any) -> Any:
@@ -143,6 +125,53 @@ def test_a_sector_has_no_points(lidar_entry: Any, tmp_path: Path, original: list
         behind = -before["x"] > np.abs(before["y"])
         assert 0 < behind.sum() < len(before)
         assert mine.tolist() == before[~behind].tolist()
+
+
+def test_rain_is_nearer_along_the_rays_as_by_its_formula(
+    lidar_entry: Any, tmp_path: Path, original: list[Any]
+) -> None:
+    few, many = (
+        scans(make(lidar_entry, [Role.LIDAR], tmp_path, {"lidar": {"rain": share}})) for share in (0.1, 0.4)
+    )
+    before, light, heavy = (np.concatenate([ranges(one) for one in found]) for found in (original, few, many))
+    # What is nearer from the rounding to float32 alone isn't of a drop.
+    wet = [before - one > 1e-4 for one in (light, heavy)]
+    assert [one.mean() for one in wet] == [pytest.approx(0.1, rel=0.03), pytest.approx(0.4, rel=0.03)]
+    assert (wet[0] <= wet[1]).all()
+    assert heavy[wet[0]] == pytest.approx(light[wet[0]], abs=1e-5)
+    nearest = lidar_entry.dataset.spec.sensors["lidar"].lidar.min_range
+    assert heavy.min() > nearest
+    # Each is evenly distributed in its own distribution, cut off at what is behind it.
+    seen, depth = (one[wet[1]] - nearest for one in (heavy, before))
+    even = np.expm1(-seen / RAIN_METRES) / np.expm1(-depth / RAIN_METRES)
+    assert np.histogram(even, 5, (0, 1))[0] / len(even) == pytest.approx(0.2, abs=0.02)
+    for mine, was in zip(many, original, strict=True):
+        mine_at, was_at = (np.column_stack([one[axis] for axis in "xyz"]) for one in (mine, was))
+        assert np.cross(mine_at, was_at) == pytest.approx(0.0, abs=1e-4)
+        assert mine["time"].tolist() == was["time"].tolist()
+
+
+def test_what_is_no_return_stays_none_in_rain_and_noise() -> None:
+    points = np.zeros(4, dtype=[(axis, "<f4") for axis in "xyz"])
+    points["x"] = (np.nan, 0, np.inf, 0.3)
+    fields = [TYPES["sensor_msgs/msg/PointField"](axis, 4 * k, 7, 1) for k, axis in enumerate("xyz")]
+    header = TYPES["std_msgs/msg/Header"](0, TYPES["builtin_interfaces/msg/Time"](0, 0), "lidar")
+    data = points.view(np.uint8)
+    cloud = TYPES["sensor_msgs/msg/PointCloud2"](header, 1, 4, fields, False, 12, 48, data, False)
+    weather = Weather(LidarPerturbation(rain=0.99, range_noise=1e-9), partial(_numbers, "lidar"), 0.5)
+    found = cloud_points(disturbed_scan(cloud, weather, 0, "/points"), "")
+    assert found["x"].tolist() == pytest.approx([np.nan, 0, np.inf, 0.3], nan_ok=True)
+
+
+def test_scans_dropped_are_a_share_exactly(lidar_entry: Any, tmp_path: Path) -> None:
+    plain, few, many = (
+        make(lidar_entry, [Role.LIDAR], tmp_path, {"lidar": {"dropScans": share}}) for share in (0, 0.25, 0.5)
+    )
+    all_stamps, most, half = (stamps(read(one.path)["/points"]).tolist() for one in (plain, few, many))
+    assert (len(most), len(half)) == (round(0.75 * len(all_stamps)), round(0.5 * len(all_stamps)))
+    assert half[0] == all_stamps[0]
+    assert set(half) < set(most) < set(all_stamps)
+    assert many.frames == len(half)
 
 
 # Cameras.

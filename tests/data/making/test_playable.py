@@ -19,7 +19,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from slamhive.data.making.preparation import Variant, _state, prepare
+from slamhive.data.making.preparation import Variant, prepare, recording_state
 from slamhive.data.recordings.entries import DatasetEntry
 from slamhive.model.dataset import DataFile, Dataset
 from slamhive.model.errors import DataError
@@ -372,7 +372,7 @@ def test_a_variant_of_an_earlier_version_is_made_anew(tmp_path: Path) -> None:
     about = variant.folder / "variant.json"
     told = json.loads(about.read_text())
     del told["playable"]
-    told["state"] = _state(variant.path)
+    told["state"] = recording_state(variant.path)
     about.unlink()
     about.write_text(json.dumps(told))
     assert made(entry, [Role.IMU], tmp_path / "cache", BAG2) == variant

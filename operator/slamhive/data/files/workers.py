@@ -63,9 +63,14 @@ class Workers:
         for item, work in items:
             waiting.append((item, None if work is None else self._pool.submit(work)))
             busy += work is not None
-            while busy > self._limit or len(waiting) > _QUEUED:
+            # What is done, or takes nothing, waits for nobody.
+            while waiting and (busy > self._limit or len(waiting) > _QUEUED or _is_done(waiting[0][1])):
                 first, future = waiting.popleft()
                 busy -= future is not None
                 yield first, None if future is None else future.result()
         for item, future in waiting:
             yield item, None if future is None else future.result()
+
+
+def _is_done(future: Future[Any] | None) -> bool:
+    return future is None or future.done()

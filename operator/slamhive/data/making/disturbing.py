@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import math
-from functools import cache, cached_property
-from statistics import NormalDist
+from dataclasses import dataclass
+from functools import cached_property
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -24,18 +25,48 @@ if TYPE_CHECKING:
 
     Numbers = Callable[..., np.random.Generator]
     Pixels = npt.NDArray[Any]
+    Ranges = npt.NDArray[np.float64]
+    Ways = npt.NDArray[np.float64]
+
+_BYTE = 255
+_VALUES, _PIECE = 2**22, 2**18
+"""Numbers of noise that images take pieces of, and the length of a piece."""
 
 STEP_SECONDS = 1.0
 """Time for which an exposure stays as it is, s."""
 
 
-def disturbed_scan(message: Any, wanted: LidarPerturbation, numbers: Numbers, index: int, where: str) -> Any:
-    """Return a PointCloud2 with noise on its ranges, and without some of its points.
+RAIN_METRES = 5.0
+"""Mean range of returns from drops where nothing is behind them, m: chosen, as rains differ."""
+
+
+@dataclass(frozen=True)
+class Weather:
+    """Disturbance of the scans of one LiDAR.
+
+    Attributes:
+        wanted: What is done to them.
+        numbers: Opens the random numbers of a purpose and message.
+        nearest: Range from which on it has returns, m.
+    """
+
+    wanted: LidarPerturbation
+    numbers: Numbers
+    nearest: float = 0.0
+
+    @property
+    def is_idle(self) -> bool:
+        """Tell whether the points stay as they are."""
+        one = self.wanted
+        return not any((one.range_noise, one.drop_points, one.sector, one.rain))
+
+
+def disturbed_scan(message: Any, weather: Weather, index: int, where: str) -> Any:
+    """Return a PointCloud2 with other ranges, and without some of its points.
 
     Args:
         message: The scan.
-        wanted: What is done to it.
-        numbers: Opens the random numbers of a purpose and message.
+        weather: What is done to it.
         index: Number of the scan.
         where: What it is, for messages.
 
@@ -46,21 +77,52 @@ def disturbed_scan(message: Any, wanted: LidarPerturbation, numbers: Numbers, in
     names = points.dtype.names or ()
     if missing := [axis for axis in "xyz" if axis not in names]:
         raise DataError(f"{where}: points have no field {missing[0]!r}; they have: {', '.join(names)}")
-    x, y, z = (points[axis].astype(np.float64) for axis in "xyz")
-    stay = np.ones(len(points), dtype=np.bool_)
+    wanted, numbers = weather.wanted, weather.numbers
+    # In the precision of the points themselves, but for those of whole numbers.
+    kind = np.result_type(np.float32, *(points.dtype[axis] for axis in "xyz"))
+    x, y, z = (points[axis].astype(kind) for axis in "xyz")
+    stay = None
     if wanted.sector:
-        stay &= ~(np.abs(np.arctan2(y, x)) > math.pi - math.radians(wanted.sector) / 2)
+        stay = np.abs(np.arctan2(y, x)) <= math.pi - math.radians(wanted.sector) / 2
     if wanted.drop_points:
-        stay &= numbers("dropPoints", index=index).random(len(points)) >= wanted.drop_points
-    if wanted.range_noise:
-        noise = numbers("rangeNoise", index=index).standard_normal(len(points)) * wanted.range_noise
-        ranges = np.sqrt(x * x + y * y + z * z)
-        # What is no return, or would be behind the sensor, stays where it is.
-        moves = (ranges > 0) & (ranges + noise > 0)
-        scale = np.where(moves, 1.0 + noise / np.where(moves, ranges, 1.0), 1.0)
+        kept = numbers("dropPoints", index=index).random(len(points)) >= wanted.drop_points
+        stay = kept if stay is None else stay & kept
+    if wanted.rain or wanted.range_noise:
+        true = np.sqrt(x * x + y * y + z * z)
+        ranges = true
+        if wanted.rain:
+            ranges = _through_rain(true, wanted.rain, weather.nearest, numbers("rain", index=index))
+        if wanted.range_noise:
+            drawn = numbers("rangeNoise", index=index).standard_normal(len(points), dtype=np.float32)
+            noisy = ranges + drawn * np.float32(wanted.range_noise)
+            # What would be behind the sensor stays where it is.
+            ranges = np.where(noisy > 0, noisy, ranges)
+        # As does what is no return.
+        moves = (true > 0) & np.isfinite(true)
+        scale = np.where(moves, ranges, 1.0) / np.where(moves, true, 1.0)
         for axis, values in zip("xyz", (x, y, z), strict=True):
             points[axis] = values * scale
     return chosen_points(message, points, stay)
+
+
+def _through_rain(true: Ranges, share: float, nearest: float, drawn: np.random.Generator) -> Ranges:
+    """Return ranges of which a share is that of something in the way.
+
+    Those are distributed as e^(-r / L) between the nearest range and the true one (unexpected objects in
+    Thrun, Burgard, Fox, Probabilistic Robotics, 2005, 6.3.1, eq. 6.7 and 6.8).
+
+    Args:
+        true: Ranges, m, shape (n,).
+        share: Of them that meet something.
+        nearest: Range that a return has at least, m.
+        drawn: The random numbers.
+    """
+    chance, place = drawn.random((2, len(true)))
+    depth = true - nearest
+    wet = (chance < share) & (depth > 0) & np.isfinite(depth)
+    # The inverse of the distribution, cut off at the depth.
+    nearer = nearest - RAIN_METRES * np.log1p(place * np.expm1(-np.where(wet, depth, 0.0) / RAIN_METRES))
+    return np.where(wet, nearer, true)
 
 
 class Shutter:
@@ -69,18 +131,23 @@ class Shutter:
     Args:
         wanted: What is done to them.
         numbers: Opens the random numbers of a purpose and message.
+        ways: Way of each image's middle over the exposure, px, shape (n, 2); None: it doesn't move.
     """
 
-    def __init__(self, wanted: ImagesPerturbation, numbers: Numbers) -> None:
+    def __init__(self, wanted: ImagesPerturbation, numbers: Numbers, ways: Ways | None = None) -> None:
         self._wanted = wanted
         self._numbers = numbers
+        self._ways = ways
+        self._tables: dict[bool, Pixels] = {}
+        self._making = Lock()
+        self._numbers_of_noise: Pixels | None = None
 
     @property
     def is_idle(self) -> bool:
         """Tell whether the pixels stay as they are."""
         one = self._wanted
         found = (one.blur, one.noise, one.exposure_step, one.jpeg_quality, one.occlusion)
-        return not any(found) and one.gamma in {None, 1}
+        return not any(found) and one.gamma in {None, 1} and self._ways is None
 
     def disturbed(self, pixels: Pixels, index: int, nanoseconds: int) -> Pixels:
         """Return an image after all that befalls it: optics first, then the sensor, then the compression.
@@ -96,30 +163,59 @@ class Shutter:
             rows, columns = self._covered(*pixels.shape[:2])
             pixels[rows, columns] = 0
         if one.blur:
-            pixels = cv2.filter2D(pixels, -1, self._trace, borderType=cv2.BORDER_REPLICATE)
-        brighter = one.exposure_step and int(nanoseconds / 1e9 // STEP_SECONDS) % 2
+            pixels = _smeared(pixels, self._trace)
+        if self._ways is not None and np.linalg.norm(self._ways[index]) >= _SHARP:
+            pixels = _smeared(pixels, trace_of(*self._ways[index].tolist()))
+        brighter = bool(one.exposure_step) and bool(int(nanoseconds / 1e9 // STEP_SECONDS) % 2)
         if brighter or one.gamma not in {None, 1}:
-            table = (
-                np.arange(most + 1) / most * (2.0**one.exposure_step if one.exposure_step and brighter else 1)
-            )
-            table = np.clip(table, 0.0, 1.0) ** (one.gamma or 1.0)
-            pixels = np.rint(table * most).astype(pixels.dtype)[pixels]
+            table = self._table(brighter, pixels.dtype)
+            pixels = np.asarray(cv2.LUT(pixels, table)) if most == _BYTE else table[pixels]
         if one.noise:
-            drawn = self._numbers("noise", index=index).integers(0, _STEPS, pixels.shape, dtype=np.uint16)
-            noisy = pixels + np.rint(_normal() * (one.noise * most / 255)).astype(np.int32)[drawn]
-            pixels = np.clip(noisy, 0, most).astype(pixels.dtype)
+            pixels = self._noisy(pixels, index)
         if one.jpeg_quality:
             pixels = _through_jpeg(pixels, one.jpeg_quality)
         return pixels
 
+    def _table(self, brighter: bool, kind: np.dtype[Any]) -> Pixels:
+        """Return what becomes of each brightness."""
+        if brighter not in self._tables:
+            one, most = self._wanted, int(np.iinfo(kind).max)
+            shares = np.arange(most + 1) / most * (2.0 ** (one.exposure_step or 0.0) if brighter else 1.0)
+            table = np.clip(shares, 0.0, 1.0) ** (one.gamma or 1.0)
+            self._tables[brighter] = np.rint(table * most).astype(kind)
+        return self._tables[brighter]
+
+    def _noisy(self, pixels: Pixels, index: int) -> Pixels:
+        """Return an image with noise: pieces of one long row of numbers, from places drawn for each image.
+
+        Drawing numbers for each pixel would take longer than all else that is done to an image.
+        """
+        noise = self._noise(pixels.dtype)
+        drawn = self._numbers("noise", index=index)
+        flat = np.ascontiguousarray(pixels).reshape(-1)
+        found = np.empty_like(flat)
+        depth = cv2.CV_8U if pixels.dtype == np.uint8 else cv2.CV_16U
+        for begin in range(0, len(flat), _PIECE):
+            piece = flat[begin : begin + _PIECE]
+            start = int(drawn.integers(0, len(noise) - _PIECE))
+            # Sums are cut off at the ends of the range.
+            total = cv2.add(piece[None], noise[None, start : start + len(piece)], dtype=depth)
+            found[begin : begin + _PIECE] = np.asarray(total)[0]
+        return found.reshape(pixels.shape)
+
+    def _noise(self, kind: np.dtype[Any]) -> Pixels:
+        """Return whole numbers that are normally distributed, shape (n,)."""
+        with self._making:
+            if self._numbers_of_noise is None:
+                sigma = (self._wanted.noise or 0.0) * int(np.iinfo(kind).max) / _BYTE
+                drawn = self._numbers("noise values").standard_normal(_VALUES, dtype=np.float32)
+                whole = np.int16 if kind == np.uint8 else np.int32
+                self._numbers_of_noise = np.rint(drawn * np.float32(sigma)).astype(whole)
+        return self._numbers_of_noise
+
     @cached_property
-    def _trace(self) -> npt.NDArray[np.float64]:
-        """Weights of neighbours in a row for a motion of d px, linear between pixels, shape (1, 2n + 1)."""
-        d = float(self._wanted.blur or 0.0)
-        reach = math.ceil(d / 2 + 1)
-        offsets = np.arange(-reach, reach + 1, dtype=np.float64)
-        weights = _under_tent(d / 2 - offsets) - _under_tent(-d / 2 - offsets)
-        return (weights / d)[None]
+    def _trace(self) -> Ways:
+        return trace_of(float(self._wanted.blur or 0.0), 0.0)
 
     def _covered(self, height: int, width: int) -> tuple[slice, slice]:
         """Return the rows and columns of a rectangle in the image's shape, at the same place in all."""
@@ -130,10 +226,45 @@ class Shutter:
         return slice(top, top + rows), slice(left, left + columns)
 
 
-def _under_tent(end: Pixels) -> Pixels:
-    """Return the integral of max(0, 1 - |s|) up to an end."""
-    end = np.clip(end, -1.0, 1.0)
-    return np.where(end < 0, (1 + end) ** 2 / 2, 1 - (1 - end) ** 2 / 2)
+_SHARP = 0.01
+"""Way over an exposure that leaves no trace in whole numbers, px."""
+
+
+def trace_of(right: float, down: float) -> Ways:
+    """Return weights of neighbours for a motion in a straight line, shape (rows, columns).
+
+    It is linear between pixels. Between places where the line crosses rows or columns of pixels they are of
+    degree two, so that Simpson's rule is exact.
+
+    Args:
+        right: Length of the motion along the rows, px; the image stands for its middle.
+        down: Its length along the columns, px.
+    """
+    cuts = [np.array([-0.5, 0.5])]
+    for way in (right, down):
+        reach = math.floor(abs(way) / 2)
+        cuts.append(np.arange(-reach, reach + 1) / (way or 1.0))
+    ends = np.unique(np.concatenate(cuts))
+    steps = np.diff(ends)
+    places = np.concatenate([ends[:-1], (ends[:-1] + ends[1:]) / 2, ends[1:]])
+    shares = np.concatenate([steps / 6, steps * 4 / 6, steps / 6])
+    (rows, up), (columns, left) = (_around(way * places) for way in (down, right))
+    sides = [math.ceil(abs(way) / 2) + 1 for way in (down, right)]
+    weights = np.zeros([2 * side + 1 for side in sides])
+    for i, of_row in ((0, 1 - up), (1, up)):
+        for j, of_column in ((0, 1 - left), (1, left)):
+            np.add.at(weights, (rows + i + sides[0], columns + j + sides[1]), shares * of_row * of_column)
+    return weights
+
+
+def _around(places: Ways) -> tuple[npt.NDArray[np.intp], Ways]:
+    """Return the pixels before some places, and how far beyond them these are, 0 to 1."""
+    before = np.floor(places)
+    return before.astype(np.intp), places - before
+
+
+def _smeared(pixels: Pixels, trace: Ways) -> Pixels:
+    return np.asarray(cv2.filter2D(pixels, -1, trace, borderType=cv2.BORDER_REPLICATE))
 
 
 def _through_jpeg(pixels: Pixels, quality: int) -> Pixels:
@@ -142,19 +273,6 @@ def _through_jpeg(pixels: Pixels, quality: int) -> Pixels:
     encoded = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     decoded: Any = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED)
     return np.asarray(decoded)
-
-
-_STEPS = 2**16
-
-
-@cache
-def _normal() -> npt.NDArray[np.float64]:
-    """Return values that are normally distributed when drawn evenly, to 4.3 sigma, shape (n,).
-
-    Drawing these, rounded, takes less than half of the time of drawing and rounding numbers for each pixel.
-    """
-    inverse = NormalDist().inv_cdf
-    return np.array([inverse((k + 0.5) / _STEPS) for k in range(_STEPS)])
 
 
 _RED_FIRST = ("rgb8", "rgba8", "rgb16")

@@ -25,8 +25,9 @@ from slamhive.model.base import seconds
 from slamhive.model.configuration import SensorView
 from slamhive.model.errors import InputError
 from slamhive.model.formats import FILE_NAMES, DataFormat, RecordingFormat, holds, misfit
-from slamhive.model.run import STAMPS, TOLD, Perturbation, without_idle
+from slamhive.model.run import DELIVERY, STAMPS, TOLD, Perturbation, without_idle
 from slamhive.model.sensors import ROLE_TYPES, Role, SensorType
+from slamhive.plan.perturbable import perturbation_problems
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -66,6 +67,11 @@ class RecordingOptions:
         """Tell whether messages stay as they are."""
         return self == RecordingOptions(None, 1.0, 0.0, None, None)
 
+    @property
+    def blurs_by_motion(self) -> bool:
+        """Tell whether images are blurred by how the platform turns."""
+        return bool(self.perturb and self.perturb.images and self.perturb.images.motion_blur)
+
 
 def _sensor_for(entry: DatasetEntry, role: Role, options: InputOptions) -> SensorView:
     name = entry.dataset.spec.sensor_for(role, options.remap)
@@ -100,7 +106,8 @@ def _perturbation(
 ) -> Perturbation | None:
     """Return the perturbation as far as it changes something of the sensors' recording.
 
-    What an algorithm is told wrongly of its sensors is part of a folder's files, and of no bag.
+    What an algorithm is told wrongly of its sensors is part of a folder's files, and of no bag; in what order
+    messages are delivered, of a bag alone.
     """
     if options.perturb is None:
         return None
@@ -109,10 +116,11 @@ def _perturbation(
     for block, kind in _PERTURBED.items():
         if kind not in types:
             body.pop(block, None)
-    for block in (*STAMPS, *TOLD):
-        is_told = target.is_folder or block in STAMPS
+    of_target = TOLD if target.is_folder else DELIVERY
+    for block in (*STAMPS, *DELIVERY, *TOLD):
+        matters = block in {*STAMPS, *of_target}
         by_role = body.pop(block, {})
-        body[block] = {role: by_role[role] for role in map(str, sensors) if is_told and role in by_role}
+        body[block] = {role: by_role[role] for role in map(str, sensors) if matters and role in by_role}
     found = without_idle(body)
     return Perturbation.model_validate(found) if found else None
 
@@ -185,6 +193,8 @@ def order_of(
     if topics and target.is_folder:
         raise InputError(f"modes.topics: {target} holds no topics; recording: a bag does")
     sensors = {role: _sensor_for(entry, role, options) for role in roles}
+    for problem in perturbation_problems(options.as_json(), entry.dataset, roles, target):
+        raise InputError(problem)
     wish = _wish(options, sensors, target)
     views = _views(sensors, wish)
     folder = None
@@ -213,6 +223,7 @@ def make_recording(
     # With OpenCV and writers of bags, half a second: for those alone who make a recording.
     from slamhive.data.making.folders import write_folder  # noqa: PLC0415
     from slamhive.data.making.perturbing import perturbed  # noqa: PLC0415
+    from slamhive.data.making.smearing import ImageMotion  # noqa: PLC0415
     from slamhive.data.making.transfer import is_decoded, transfer  # noqa: PLC0415
 
     entry, wish, target = order.entry, order.wish, order.target
@@ -233,7 +244,10 @@ def make_recording(
             selection = complete_frames(selection)
         if wish.perturb is not None:
             is_whole = order.folder is not None
-            selection = perturbed(recording, selection, wish.perturb, order.sensors, is_whole=is_whole)
+            motion = ImageMotion(entry, recording) if wish.blurs_by_motion else None
+            selection = perturbed(
+                recording, selection, wish.perturb, order.sensors, motion, is_whole=is_whole
+            )
         views = _timed(order.views, selection)
         if order.folder is not None:
             views = write_folder(recording, selection, wish, order.folder.timed(views), path, report)

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.data.making.disturbing import Shutter, disturbed_image, disturbed_scan
+from slamhive.data.making.delivering import added_delay
+from slamhive.data.making.disturbing import Shutter, Weather, disturbed_image, disturbed_scan
 from slamhive.data.making.selection import complete_frames, partners_of, with_masks
 from slamhive.data.recordings.clouds import move_point_times
 from slamhive.data.recordings.kinds import COMPRESSED_IMAGE, IMAGE, IMU, POINT_CLOUD
@@ -38,13 +39,15 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.data.making.selection import Mask, MessageChange, MessageSelection
+    from slamhive.data.making.smearing import ImageMotion
     from slamhive.data.recordings.reading import Recording, Scan
     from slamhive.data.recordings.streams import Stream
     from slamhive.model.configuration import SensorView
-    from slamhive.model.run import ImuPerturbation, Perturbation
+    from slamhive.model.run import ImagesPerturbation, ImuPerturbation, Perturbation
     from slamhive.model.sensors import Role
 
     Times = npt.NDArray[np.int64]
+    Ways = npt.NDArray[np.float64]
     Raw = bytes | bytearray | memoryview
 
 
@@ -53,6 +56,7 @@ def perturbed(
     selection: MessageSelection,
     perturb: Perturbation,
     sensors: Mapping[Role, SensorView],
+    motion: ImageMotion | None = None,
     *,
     is_whole: bool,
 ) -> MessageSelection:
@@ -63,12 +67,13 @@ def perturbed(
         selection: The messages chosen.
         perturb: What is done.
         sensors: The sensors by role, as they are recorded.
+        motion: Of images over their exposure, where it is to blur them.
         is_whole: Whether it has, and keeps, whole frames alone, as of a folder.
 
     Raises:
         DataError: A stamp would be one that no message can have.
     """
-    return _Perturber(recording, selection, perturb, sensors).result(is_whole=is_whole)
+    return _Perturber(recording, selection, perturb, sensors, motion).result(is_whole=is_whole)
 
 
 class _Perturber:
@@ -78,8 +83,10 @@ class _Perturber:
         selection: MessageSelection,
         perturb: Perturbation,
         sensors: Mapping[Role, SensorView],
+        motion: ImageMotion | None,
     ) -> None:
         self._recording = recording
+        self._motion = motion
         self._selection = selection
         self._perturb = perturb
         self._seed = DEFAULT_SEED if perturb.seed is None else perturb.seed
@@ -95,16 +102,23 @@ class _Perturber:
             self._selection = complete_frames(self._selection)
         stamps = self._stamps()
         changes: dict[str, MessageChange] = {}
+        finishes: dict[str, MessageChange] = {}
         for stream in self._selection.streams:
-            found = self._content(stream)
+            if (change := self._content(stream)) is not None:
+                changes[stream.topic] = change
+            steps = self._in_turn(stream)
             if stream.topic in stamps:
-                found = [*found, *self._moved(stream, stamps[stream.topic])]
-            if found:
-                changes[stream.topic] = partial(_all_of, found)
+                steps += self._moved(stream, stamps[stream.topic])
+            if steps:
+                finishes[stream.topic] = partial(_all_of, steps)
         scans = dict(self._selection.scans)
         for topic, moved in stamps.items():
             scans[topic] = replace(scans[topic], stamps=moved)
-        return with_masks(replace(self._selection, scans=scans, changes=changes), {})
+        later = self._later_deliveries()
+        first, last = self._selection.record_window
+        window = first, last + max((int(added.max()) for added in later.values()), default=0)
+        found = replace(self._selection, scans=scans, changes=changes, finishes=finishes)
+        return with_masks(replace(found, later=later, record_window=window), {})
 
     def _numbers(self, purpose: str, stream: Stream, index: int = 0) -> np.random.Generator:
         return numbers_of(self._seed, f"{purpose} {stream.sensor}", index)
@@ -114,15 +128,21 @@ class _Perturber:
     def _kept(self) -> dict[str, Mask]:
         """Return the messages kept of the topics that lose some, and note the frames that stand still."""
         masks: dict[str, Mask] = {}
-        images, imu = self._perturb.images, self._perturb.imu
+        images, imu, lidar = self._perturb.images, self._perturb.imu, self._perturb.lidar
         for stream in self._selection.streams:
             if imu is not None and imu.rate is not None and _is(stream, SensorType.IMU):
                 masks[stream.topic] = self._thinned(stream, imu.rate)
-            if images is None or not _is(stream, SensorType.CAMERA) or stream.kind is not TopicKind.FRAMES:
+            if stream.kind is not TopicKind.FRAMES:
                 continue
             mask = self._selection.masks[stream.topic]
-            left_out = self._drawn("dropFrames", stream, mask, images.drop_frames)
-            still = self._drawn("duplicateFrames", stream, mask & ~left_out, images.duplicate_frames)
+            if images is not None and _is(stream, SensorType.CAMERA):
+                left_out = self._drawn("dropFrames", stream, mask, images.drop_frames)
+                still = self._drawn("duplicateFrames", stream, mask & ~left_out, images.duplicate_frames)
+            elif lidar is not None and _is(stream, SensorType.LIDAR):
+                left_out = self._drawn("dropScans", stream, mask, lidar.drop_scans)
+                still = np.zeros_like(mask)
+            else:
+                continue
             for one, lost, same in self._with_partners(stream, left_out, still):
                 if lost.any():
                     masks[one.topic] = self._selection.masks[one.topic] & ~lost
@@ -167,7 +187,7 @@ class _Perturber:
             scan = self._selection.scans[stream.topic]
             if stream.kind is TopicKind.INFO and stream.follows in found:
                 images = self._selection.scans[stream.follows].stamps
-                found[stream.topic] = _following(scan, images, found[stream.follows])
+                found[stream.topic] = scan.stamps + _following(scan, images, found[stream.follows] - images)
             for role in self._roles.get(stream.topic, ()):
                 later = self._later(str(role), stream, scan)
                 if later is not None:
@@ -210,36 +230,59 @@ class _Perturber:
             )
         return [*changes, lambda k, raw: restamped(bytes(raw), int(stamps[k]), is_ros2=is_ros2)]
 
+    def _later_deliveries(self) -> dict[str, Times]:
+        """Return what is added to the times of recording of the topics that are late, ns, shape (n,)."""
+        found: dict[str, Times] = {}
+        for stream in self._selection.streams:
+            scan, kept = self._selection.scans[stream.topic], self._selection.masks[stream.topic]
+            if stream.kind is TopicKind.INFO and stream.follows in found:
+                images = self._selection.scans[stream.follows].stamps
+                found[stream.topic] = _following(scan, images, found[stream.follows])
+            for role in map(str, self._roles.get(stream.topic, ())):
+                late, share = self._perturb.late.get(role, 0.0), self._perturb.swapped.get(role, 0.0)
+                if late or share:
+                    numbers = self._numbers("swapped", stream)
+                    found[stream.topic] = added_delay(scan, kept, late, share, numbers)
+        return found
+
     # What.
 
-    def _content(self, stream: Stream) -> list[MessageChange]:
-        """Return the changes of a message's content."""
-        found: list[MessageChange] = []
+    def _content(self, stream: Stream) -> MessageChange | None:
+        """Return the change of what an image or a scan shows."""
         perturb, where = self._perturb, f"{stream.topic} in {self._recording.label}"
         numbers = partial(self._numbers, stream=stream)
         if perturb.lidar is not None and stream.message_type == POINT_CLOUD and _is(stream, SensorType.LIDAR):
-            of_scans = perturb.lidar
-            found.append(
-                self._decoded(stream, lambda k, scan: disturbed_scan(scan, of_scans, numbers, k, where))
-            )
-        if perturb.imu is not None and stream.message_type == IMU:
-            found += self._samples(stream, perturb.imu)
-        if perturb.images is None or stream.message_type not in {IMAGE, COMPRESSED_IMAGE}:
-            return found
-        if _is(stream, SensorType.CAMERA):
-            of_images = perturb.images
-            scan = self._selection.scans[stream.topic]
-            first = int(scan.stamps[0])
-            shutter = Shutter(of_images, numbers)
-            found.append(
-                self._decoded(
-                    stream,
-                    lambda k, image: disturbed_image(image, shutter, k, int(scan.stamps[k]) - first, where),
-                )
-            )
+            declared = stream.declared.lidar if stream.declared else None
+            weather = Weather(perturb.lidar, numbers, declared.min_range if declared else 0.0)
+            if weather.is_idle:
+                return None
+            return self._decoded(stream, lambda k, scan: disturbed_scan(scan, weather, k, where))
+        is_image = stream.message_type in {IMAGE, COMPRESSED_IMAGE}
+        if perturb.images is None or not is_image or not _is(stream, SensorType.CAMERA):
+            return None
+        scan = self._selection.scans[stream.topic]
+        first = int(scan.stamps[0])
+        shutter = Shutter(perturb.images, numbers, self._ways(stream, scan, perturb.images))
+        if shutter.is_idle:
+            return None
+        return self._decoded(
+            stream, lambda k, image: disturbed_image(image, shutter, k, int(scan.stamps[k]) - first, where)
+        )
+
+    def _in_turn(self, stream: Stream) -> list[MessageChange]:
+        """Return the changes that need the message before, or take next to nothing."""
+        found: list[MessageChange] = []
+        if self._perturb.imu is not None and stream.message_type == IMU:
+            found += self._samples(stream, self._perturb.imu)
         if stream.topic in self._repeated:
             found.append(self._standing_still(stream))
         return found
+
+    def _ways(self, stream: Stream, scan: Scan, images: ImagesPerturbation) -> Ways | None:
+        """Return the way of each image's middle over the exposure, px, shape (n, 2)."""
+        if self._motion is None or stream.declared is None or not images.motion_blur:
+            return None
+        return self._motion.over(stream.declared, scan.stamps, images.motion_blur / 1e3)
 
     def _decoded(self, stream: Stream, change: Callable[[int, Any], Any]) -> MessageChange:
         recording, kind = self._recording, stream.message_type
@@ -311,7 +354,7 @@ def _all_of(changes: list[MessageChange], index: int, raw: bytes) -> Raw:
     return found  # type: ignore[no-any-return]
 
 
-def _following(scan: Scan, images: Times, moved: Times) -> Times:
-    """Return the stamps of camera_info: those of the images of the same stamp; others stay."""
-    become = dict(zip(images.tolist(), moved.tolist(), strict=True))
-    return np.array([become.get(stamp, stamp) for stamp in scan.stamps.tolist()], dtype=np.int64)
+def _following(scan: Scan, images: Times, added: Times) -> Times:
+    """Return what is added to times of camera_info: as to the images of the same stamp; to others nothing."""
+    known = dict(zip(images.tolist(), added.tolist(), strict=True))
+    return np.array([known.get(stamp, 0) for stamp in scan.stamps.tolist()], dtype=np.int64)

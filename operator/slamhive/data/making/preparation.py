@@ -19,7 +19,7 @@ from slamhive.contract.posefiles import FRAMES
 from slamhive.data.files.fetching import sha256_of
 from slamhive.data.files.once import evict, flush, in_use, make_once
 from slamhive.data.making.orders import frames_text, make_recording, order_of
-from slamhive.data.recordings.entries import recording_sha256
+from slamhive.data.recordings.entries import dataset_sha256, recording_sha256
 from slamhive.data.recordings.reading import Recording, guess_format
 from slamhive.data.recordings.version import VERSION
 from slamhive.model.canonical import digest
@@ -30,6 +30,7 @@ from slamhive.model.results import Prepared
 from slamhive.model.run import without_idle
 from slamhive.model.sensors import FOLLOWS, Role
 from slamhive.model.variant import open_codes
+from slamhive.plan.perturbable import chosen_form
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -163,7 +164,25 @@ def variant_folder(
         InputError: The options don't fit the dataset.
         DataError: The recording can't be read.
     """
-    return cache / _identified(entry, roles, options, formats, cache, topics=topics)[-1][:32]
+    return cache / variant_key(entry, roles, options, formats, cache, topics=topics)[:32]
+
+
+def variant_key(
+    entry: DatasetEntry,
+    roles: Sequence[Role],
+    options: InputOptions,
+    formats: Sequence[DataFormat],
+    cache: Path,
+    *,
+    topics: Sequence[str] = (),
+) -> str:
+    """Return the hash that identifies the variant that a run needs; arguments as for ``prepare``.
+
+    Raises:
+        InputError: The options don't fit the dataset.
+        DataError: The recording can't be read.
+    """
+    return _identified(entry, roles, options, formats, cache, topics=topics)[-1]
 
 
 def _identified(
@@ -177,8 +196,7 @@ def _identified(
 ) -> tuple[Order, str, str]:
     """Return the order that a variant is made from, the hash of its recording, and its key."""
     spec = entry.dataset.spec
-    recorded = DataFormat(spec.recording.format)
-    target = DataFormat(recorded if recorded in formats else formats[0])
+    target = chosen_form(entry.dataset, formats)
     order = order_of(entry, roles, options, target, topics)
     sensors, wish = order.sensors, order.wish
     source = recording_sha256(entry, cache / ".hashes")
@@ -203,6 +221,7 @@ def _identified(
         | ({"topics": sorted(order.topics)} if order.topics else {})
         | ({"repair": repairs} if repairs else {})
         | ({"perturb": without_idle(wish.perturb.as_json())} if wish.perturb else {})
+        | ({"turning": dataset_sha256(entry, cache / ".hashes")} if wish.blurs_by_motion else {})
     )
     return order, source, key
 
@@ -228,7 +247,7 @@ def _describe(order: Order, path: Path, aside: Path, made: MadeRecording) -> Non
         "format": order.target,
         "playable": True,
         "recording": path.name,
-        "state": _state(path),
+        "state": recording_state(path),
         "framesSha256": sha256_of(aside / FRAMES),
         "sensors": {role: view.as_json() for role, view in made.views.items()},
         "startTime": selection.first / 10**9 + offset,
@@ -284,7 +303,7 @@ def _replace(path: Path, data: bytes) -> None:
         raise
 
 
-def _state(path: Path) -> list[int] | str:
+def recording_state(path: Path) -> list[int] | str:
     """Return size and time of change of a file, or their hash for a folder: an algorithm may change it."""
     if path.is_file():
         return _changed(path)
@@ -307,7 +326,7 @@ def _is_sound(folder: Path) -> bool:
             return False
         changed = frames is not None and sha256_of(folder / FRAMES) != frames
         there = path.is_dir() if form.is_folder else bool(guess_format(path))
-        return not changed and there and _state(path) == description["state"]
+        return not changed and there and recording_state(path) == description["state"]
     except (OSError, ValueError, KeyError, InputError):
         return False
 

@@ -57,7 +57,10 @@ class MessageSelection:
         first: Header stamp of its first frame kept, ns.
         last: Header stamp of its last frame kept, ns.
         record_window: Record times of the first and last message kept of any sensor, ns.
-        changes: By topic, what becomes of a message of a number in the recording, as serialised.
+        changes: By topic, what becomes of a message of a number in the recording, as serialised; of several
+            at once, on threads.
+        finishes: The same of what comes after that, of one message after the other.
+        later: By topic, what is added to the time of recording of each message, ns, shape (n,).
     """
 
     streams: list[Stream]
@@ -68,6 +71,8 @@ class MessageSelection:
     last: int
     record_window: tuple[int, int]
     changes: Mapping[str, MessageChange] = field(default_factory=dict)
+    finishes: Mapping[str, MessageChange] = field(default_factory=dict)
+    later: Mapping[str, npt.NDArray[np.int64]] = field(default_factory=dict)
 
     def frames(self, stream: Stream) -> int:
         """Return the number of messages of a stream that are kept."""

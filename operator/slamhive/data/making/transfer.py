@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
+from slamhive.data.files.workers import Workers
+from slamhive.data.making.delivering import in_order
 from slamhive.data.recordings import kinds
 from slamhive.data.recordings.clouds import cloud_filter, filter_cloud
 from slamhive.data.recordings.images import is_rvl, scale_camera_info, scale_compressed, scale_image
@@ -19,7 +22,7 @@ if TYPE_CHECKING:
 
     from rosbags.interfaces import Connection
 
-    from slamhive.data.making.selection import MessageSelection
+    from slamhive.data.making.selection import MessageChange, MessageSelection
     from slamhive.data.recordings.reading import Recording
     from slamhive.data.recordings.streams import Stream
     from slamhive.model.algorithm import RecordingFormat
@@ -83,7 +86,7 @@ def transfer(
 def chosen_messages(
     recording: Recording, selection: MessageSelection, progress: Callable[[float], None] | None = None
 ) -> Iterator[tuple[Connection, int, bytes]]:
-    """Yield the messages that were chosen, in the order of the recording.
+    """Yield the messages that were chosen, in the order of their times of recording.
 
     What is perturbed is so here, before anything else is done to a message.
 
@@ -92,22 +95,46 @@ def chosen_messages(
         selection: The messages chosen.
         progress: Called with the share done, 0 to 1.
     """
+    changed = _changed_messages(recording, selection, progress)
+    if not selection.later:
+        return ((connection, time, raw) for connection, time, _, raw in changed)
+    return in_order(changed, min(0, *(int(added.min()) for added in selection.later.values())))
+
+
+def _changed_messages(
+    recording: Recording, selection: MessageSelection, progress: Callable[[float], None] | None
+) -> Iterator[tuple[Connection, int, int, bytes]]:
+    """Yield connection, time of recording, what is added to it (ns), and bytes of what was chosen."""
+    with Workers() as workers:
+        chosen = _begun(recording, selection, progress)
+        for (connection, time, index, raw), changed in workers.ahead(chosen):
+            finish = selection.finishes.get(connection.topic)
+            later = selection.later.get(connection.topic)
+            found = raw if changed is None else changed
+            if finish is not None:
+                found = bytes(finish(index, found))
+            yield connection, time, 0 if later is None else int(later[index]), found
+
+
+def _begun(
+    recording: Recording, selection: MessageSelection, progress: Callable[[float], None] | None
+) -> Iterator[tuple[tuple[Connection, int, int, bytes], Callable[[], bytes] | None]]:
+    """Yield connection, time of recording, number and bytes of what was chosen, and how it is changed."""
     seen = {stream.topic: 0 for stream in selection.streams}
     total, done = max(selection.size_bytes, 1), 0
-    for number, message in enumerate(recording.messages(set(seen))):
-        connection, time, raw = message
+    for number, (connection, time, raw) in enumerate(recording.messages(set(seen))):
         index = seen[connection.topic]
         seen[connection.topic] = index + 1
         done += len(raw)
         if progress and number % 64 == 0:
             progress(done / total)
-        if not selection.masks[connection.topic][index]:
-            continue
-        change = selection.changes.get(connection.topic)
-        if change is None:
-            yield message
-        else:
-            yield connection, time, bytes(change(index, raw))
+        if selection.masks[connection.topic][index]:
+            change = selection.changes.get(connection.topic)
+            yield (connection, time, index, raw), change and partial(_changed, change, index, raw)
+
+
+def _changed(change: MessageChange, index: int, raw: bytes) -> bytes:
+    return bytes(change(index, raw))
 
 
 def _rule(recording: Recording, stream: Stream, changes: Changes) -> Change | None:

@@ -226,15 +226,17 @@ def filter_cloud(message: Any, kept: CloudFilter, where: str) -> Any:
     return chosen_points(message, points, mask)
 
 
-def chosen_points(message: Any, points: npt.NDArray[np.void], mask: npt.NDArray[np.bool_]) -> Any:
-    """Return a scan as the list of those of its points that a mask keeps."""
-    chosen = points.view(np.uint8).reshape(len(points), -1)[mask]
+def chosen_points(message: Any, points: npt.NDArray[np.void], mask: npt.NDArray[np.bool_] | None) -> Any:
+    """Return a scan as the list of those of its points that a mask keeps; None: of all."""
+    # Bytes of whole points: numpy doesn't copy the padding inside of structured types.
+    whole = points.view(f"V{message.point_step}")
+    chosen = whole if mask is None else whole[mask]
     return replace(
         message,
         height=1,
         width=len(chosen),
         row_step=len(chosen) * message.point_step,
-        data=chosen.reshape(-1),
+        data=chosen.view(np.uint8),
     )
 
 

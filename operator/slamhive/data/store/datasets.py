@@ -118,7 +118,7 @@ def made_from(dataset: Dataset, datasets: Path) -> str | None:
     """Return the hash of what a dataset is generated or fetched by; None where its files are its own."""
     if dataset.spec.recording.synthetic is None and not dataset.spec.is_to_fetch:
         return None
-    return digest([made_folder(dataset, datasets).name, dataset.spec.as_json()])
+    return digest([made_folder(dataset, datasets).name, dataset.spec.replace(preparations=None).as_json()])
 
 
 def _of_catalogue(dataset: Dataset, datasets: Path, progress: Callable[[float], None] | None) -> DatasetEntry:
@@ -240,7 +240,7 @@ def add_dataset(dataset: Dataset, root: Path, datasets: Path) -> Path:
             f"slamhive dataset add --replace, or forget that one: slamhive dataset remove {dataset.name}"
         )
     fetched = {file.path for file in dataset.spec.recording.files if file.url}
-    for relative in files_of(dataset):
+    for relative in [*files_of(dataset), *_programs_of(dataset, root)]:
         source, link = (root / relative).absolute(), folder / relative
         if not source.exists() and relative in fetched:
             continue
@@ -258,6 +258,15 @@ def add_dataset(dataset: Dataset, root: Path, datasets: Path) -> Path:
     finally:
         aside.unlink(missing_ok=True)
     return manifest
+
+
+def _programs_of(dataset: Dataset, root: Path) -> list[str]:
+    """Return the paths of the programs that prepare a dataset, and of what their adapters may import."""
+    programs = [one.local for one in (dataset.spec.preparations or {}).values() if one.local is not None]
+    named = [path for program in programs for path in program.files]
+    folders = {(root / program.adapter).parent for program in programs if program.command is None}
+    beside = [str(path.relative_to(root)) for folder in folders for path in sorted(folder.glob("*.py"))]
+    return [*dict.fromkeys([*named, *beside])]
 
 
 def files_of(dataset: Dataset) -> list[str]:

@@ -91,6 +91,8 @@ def imu_pose(spec: SyntheticRecording) -> Array:
     """Give T_body_imu `(4, 4)` of a specification's rig."""
     if spec.rig is SyntheticRig.EUROC:
         return np.asarray(_LEFT_POSE @ _IMU_IN_LEFT)
+    if spec.rig is SyntheticRig.MAV:
+        return np.asarray(_MAV_LEFT_POSE @ np.linalg.inv(_MAV_LEFT_IN_IMU))
     return pose((-2.4, 1.7, 11.3), (-0.06, 0.05, 0.07))
 
 
@@ -98,7 +100,7 @@ def cameras(spec: SyntheticRecording) -> dict[str, RigCamera]:
     """Give the cameras of a specification by role, at the size rendered."""
     result: dict[str, RigCamera] = {}
     if SyntheticSensor.STEREO in spec.sensors:
-        result |= _stereo(spec.camera)
+        result |= _stereo(spec.camera, *_pair(spec))
     if SyntheticSensor.RGBD in spec.sensors:
         mounting = _mount((1.9, 5.3, 27.4), (0.19, -0.07, 0.16))
         result["color"] = _camera(
@@ -120,6 +122,36 @@ def _mount(degrees: tuple[float, float, float], position: tuple[float, float, fl
 
 
 _LEFT_POSE = _mount((-1.6, 4.1, 33.7), (0.21, 0.08, 0.11))
+
+
+def _rigid(rows: list[list[float]]) -> Array:
+    """Return the pose nearest to published numbers (3, 4), whose last digits are rounded."""
+    result = np.eye(4)
+    result[:3] = rows
+    u, _, v = np.linalg.svd(result[:3, :3])
+    result[:3, :3] = u @ v
+    return result
+
+
+# T_BS of cam0 and cam1, body and IMU being one, from the sensor.yaml of EuRoC's vicon rooms (Burri et al.,
+# The EuRoC micro aerial vehicle datasets, IJRR 2016).
+_MAV_LEFT_IN_IMU = _rigid(
+    [
+        [0.0148655429818, -0.999880929698, 0.00414029679422, -0.0216401454975],
+        [0.999557249008, 0.0149672133247, 0.025715529948, -0.064676986768],
+        [-0.0257744366974, 0.00375618835797, 0.999660727178, 0.00981073058949],
+    ]
+)
+_MAV_RIGHT_IN_IMU = _rigid(
+    [
+        [0.0125552670891, -0.999755099723, 0.0182237714554, -0.0198435579556],
+        [0.999598781151, 0.0130119051815, 0.0251588363115, 0.0453689425024],
+        [-0.0253898008918, 0.0179005838253, 0.999517347078, 0.00786212447038],
+    ]
+)
+# It looks down as far as at the start of V1_01, where gravity is 22 degrees off the IMU's x axis.
+_MAV_LEFT_POSE = _mount((-1.6, 21.9, 33.7), (0.21, 0.08, 0.11))
+
 # T_left_imu: the sign is the one with which the other cameras are turned by less than 90 degrees too.
 _IMU_IN_LEFT = np.linalg.inv(pose((0.2, -1.5, -89.1), (-0.02, 0.06, 0.01)))
 
@@ -140,12 +172,25 @@ def _camera(role: str, mounting: Array, lens: Lens) -> RigCamera:
     return RigCamera(role, mounting, lens, np.eye(3), projection)
 
 
-def _stereo(spec: SyntheticCamera) -> dict[str, RigCamera]:
-    """Make the stereo pair: 0.12 m apart, turned against each other by a fraction of a degree."""
+def _pair(spec: SyntheticRecording) -> tuple[Array, Array]:
+    """Return T_body_left and T_left_right: 0.11 to 0.12 m apart, turned by a degree or less."""
+    if spec.rig is SyntheticRig.MAV:
+        return _MAV_LEFT_POSE, np.linalg.inv(_MAV_LEFT_IN_IMU) @ _MAV_RIGHT_IN_IMU
     turn = np.eye(4)
     turn[:3, :3] = rotation_from_euler(np.radians([[0.35, -0.8, 0.5]]))[0]
     turn[:3, 3] = 0.12, 0.0013, -0.0008
-    right_pose = _LEFT_POSE @ turn
+    return _LEFT_POSE, turn
+
+
+def _stereo(spec: SyntheticCamera, left_pose: Array, turn: Array) -> dict[str, RigCamera]:
+    """Make the stereo pair.
+
+    Args:
+        spec: The cameras.
+        left_pose: T_body_left.
+        turn: T_left_right.
+    """
+    right_pose = left_pose @ turn
     left = _lens(spec, 0.645, (0.507, 0.491), (-0.21, 0.07, 5e-4, -3e-4))
     right = _lens(spec, 0.649, (0.496, 0.503), (-0.20, 0.06, -4e-4, 5e-4))
     to_right = np.linalg.inv(turn)
@@ -155,7 +200,7 @@ def _stereo(spec: SyntheticCamera) -> dict[str, RigCamera]:
         to_right[:3, :3], to_right[:3, 3:], flags=cv2.CALIB_ZERO_DISPARITY, alpha=0,
     )  # fmt: skip
     return {
-        "left": RigCamera("left", _LEFT_POSE, left, np.asarray(r1, np.float64), np.asarray(p1, np.float64)),
+        "left": RigCamera("left", left_pose, left, np.asarray(r1, np.float64), np.asarray(p1, np.float64)),
         "right": RigCamera(
             "right", right_pose, right, np.asarray(r2, np.float64), np.asarray(p2, np.float64)
         ),

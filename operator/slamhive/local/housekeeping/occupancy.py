@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 _PRUNE, _COLLECT = "slamhive results prune", "slamhive gc --all"
 _FOLDERS = {
     "variants": ("variants: prepared recordings", _COLLECT),
+    "preparing": ("logs of programs that prepare recordings", ""),
     "environments": ("environments of algorithms", _COLLECT),
     "assets": ("assets: files fetched for algorithms", _COLLECT),
     "truths": ("ground truth read from topics", _COLLECT),

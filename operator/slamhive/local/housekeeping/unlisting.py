@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import yaml
@@ -26,7 +27,7 @@ from slamhive.model.loading import load_file
 from slamhive.plan import content_hash, spec_hash
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from slamhive.archive import Archive
@@ -254,10 +255,16 @@ def _renamed(record: RunRecord, new: str) -> RunRecord:
     provenance = known
     # One of an earlier slamhive may have been hashed otherwise: it keeps its hashes, and serves no other run.
     if known.spec_hash == spec_hash(record.spec) and None not in parts:
+        hash_of = partial(_content_hash, parts=[*map(str, parts)], prepared_by=known.prepared_by)
         hashed = spec_hash(spec)
-        if known.content_hash == content_hash(known.spec_hash, *map(str, parts)):
-            provenance = known.replace(spec_hash=hashed, content_hash=content_hash(hashed, *map(str, parts)))
+        if known.content_hash == hash_of(known.spec_hash):
+            provenance = known.replace(spec_hash=hashed, content_hash=hash_of(hashed))
     return record.replace(spec=spec, provenance=provenance)
+
+
+def _content_hash(spec_hash: str, parts: Sequence[str], prepared_by: str | None) -> str:
+    algorithm, dataset, preparation, environment = parts
+    return content_hash(spec_hash, algorithm, dataset, preparation, environment, prepared_by)
 
 
 def _renamed_manifest(manifest: Path, new: str) -> str:

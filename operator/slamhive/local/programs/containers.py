@@ -30,8 +30,10 @@ from slamhive.local.programs.containerwords import (
     USER,
     ImageProgram,
     PlayerBeside,
+    PreparingLimits,
     create_words,
     player_words,
+    preparing_words,
 )
 from slamhive.local.programs.engines import engine_named, find_engine
 from slamhive.local.programs.images import (
@@ -287,6 +289,27 @@ class ContainerProgram(ImageProgram):
         program = order.entry.algorithm.spec.command or self.image.program
         return self._create(words, folder, self.image) | {"argv": tuple(program), "cwd": RUN, "env": {}}
 
+    def prepares(
+        self, work: Path, command: Sequence[str], variables: Mapping[str, str], limits: PreparingLimits
+    ) -> Mapping[str, Any]:
+        """Create the container of a program that prepares a recording; its supervisor starts and removes it.
+
+        Args:
+            work: its folder.
+            command: its program; empty: the image's own.
+            variables: what it is started with.
+            limits: what it may use.
+
+        Raises:
+            SystemFault: the engine doesn't.
+        """
+        if os.geteuid() == 0:
+            for path in (work / "own", *(work / "own").iterdir()):
+                os.chown(path, USER, USER)
+        words = preparing_words(self, work, command, variables, limits)
+        program = tuple(command) or self.image.program
+        return self._create(words, work, self.image) | {"argv": program, "cwd": RUN, "env": {}}
+
     def _open_scratch(self, identity: str) -> None:
         """Have a container's own /tmp be for all: runc gives its mode to what is mounted there."""
         folder = tarfile.TarInfo("tmp")
@@ -314,10 +337,21 @@ class ContainerProgram(ImageProgram):
 
     def abandon(self, folder: Path) -> None:
         """Remove the attempt's containers, which their supervisors no longer do."""
-        for place in (folder, folder / "player"):
-            identity = _created(place)
-            if identity is not None:
-                self.engine.remove(identity)
+        abandon(folder)
+        abandon(folder / "player")
+
+
+def abandon(folder: Path) -> None:
+    """Remove the container that was created for what is in a folder, if there is one.
+
+    Raises:
+        SystemFault: it can't be removed.
+    """
+    with suppress(OSError, ValueError, KeyError):
+        created = json.loads((folder / _CREATED).read_text())
+        engine = engine_named(created["engine"])
+        if engine is not None:
+            engine.remove(str(created["id"]))
 
 
 def _pod(order: AttemptOrder) -> PlayerPod | None:

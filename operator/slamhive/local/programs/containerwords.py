@@ -74,6 +74,14 @@ class PlayerBeside:
     pod: PlayerPod
 
 
+@dataclass(frozen=True)
+class PreparingLimits:
+    """Limits of a program that prepares a recording: logical processors, and memory in bytes."""
+
+    cpus: Sequence[int]
+    memory: int
+
+
 def create_words(
     program: ImageProgram,
     order: AttemptOrder,
@@ -140,6 +148,33 @@ def player_words(
         *("--entrypoint", PLAYER[0]),
         image.identity,
         *PLAYER[1:],
+    ]
+
+
+def preparing_words(
+    program: ImageProgram,
+    work: Path,
+    command: Sequence[str],
+    variables: Mapping[str, str],
+    limits: PreparingLimits,
+) -> list[str]:
+    """Return the words of an engine's `create` for a program that prepares a recording.
+
+    Raises:
+        SystemFault: a path can't be said to it.
+    """
+    words = expanded(command, variables)
+    seen = [(work / "in", f"{RUN}/in", True), (work / "own", f"{RUN}/own", False)]
+    return [
+        *confined(program, f"preparation-{work.name}", limits.cpus, limits.memory),
+        *_ALONE,
+        *_of_podman(program.engine, work),
+        *(*_PRIVATE, "--shm-size", str(limits.memory // 2)),
+        *(word for mounted in map(_mount, *zip(*seen, strict=True)) for word in ("--mount", mounted)),
+        *_environment(variables),
+        *(("--entrypoint", words[0]) if words else ()),
+        program.image.identity,
+        *words[1:],
     ]
 
 

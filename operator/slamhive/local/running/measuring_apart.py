@@ -41,7 +41,9 @@ def _measured(question: tuple[Any, ...], truths: dict[str, Any]) -> Result | Exc
             pieces = read_segments(segments)
         result = measure(truths[dataset], estimate, settings, subject, name, pieces=pieces)
         beside = partial(open_below, path.parent)
-        return with_others(result, beside, truths[dataset], settings, subject, pieces=pieces)
+        return with_others(
+            result, beside, truths[dataset], settings, subject, estimate=estimate, pieces=pieces
+        )
     except EvaluationError as error:
         return InputError(str(error))
     except (InputError, OSError) as error:

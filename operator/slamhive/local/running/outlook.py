@@ -137,6 +137,7 @@ class Looking:
         self._making = making
         self._programs: dict[str, ProgramHashes | None] = {}
         self._checksums: dict[str, str | None] = {}
+        self._preparers: dict[tuple[str, str | None], str | None] = {}
         self._edits: dict[tuple[Any, ...], dict[str, tuple[str, ...]]] = {}
         self._recipes: dict[str, str | None] = {}
         self._recipes_before: dict[str, str | None] = {}
@@ -225,7 +226,11 @@ class Looking:
             checksum = self._unmade(names["dataset"] or "", previous.origin["datasetSha256"])
         if program is None or checksum is None:
             return None
-        parts = (program.algorithm_hash, checksum, str(VERSION), program.environment)
+        try:
+            by = self._preparer(names["dataset"] or "", point)
+        except (SlamHiveError, OSError):
+            return None
+        parts = (program.algorithm_hash, checksum, str(VERSION), program.environment, by)
         return Now(
             content_hash(point.spec_hash, *parts),
             {
@@ -235,8 +240,24 @@ class Looking:
                 "imageID": program.image_id,
                 "datasetSha256": checksum,
                 "preparation": str(VERSION),
+                "preparedBy": by,
             },
         )
+
+    def _preparer(self, dataset: str, point: PlannedPoint) -> str | None:
+        """Return the digest of the program that prepares a run's recording; None where none does.
+
+        Raises:
+            SlamHiveError: it can't be run today.
+        """
+        if not self._bench.workshop.dataset(dataset).dataset.spec.preparations:
+            return None
+        spec = point.spec
+        key = (dataset, spec["input"].get("preparedBy"))
+        if key not in self._preparers:
+            found = self._bench.preparer(spec)
+            self._preparers[key] = found.digest if found else None
+        return self._preparers[key]
 
     def _program(self, name: str) -> ProgramHashes | None:
         if name not in self._programs:
@@ -294,6 +315,7 @@ class Looking:
         words += ["algorithm.yaml"] if "algorithmHash" in changed else []
         recording = [f"the dataset {names['dataset']}"] if "datasetSha256" in changed else []
         recording += ["how slamhive prepares recordings"] if "preparation" in changed else []
+        recording += ["the program that prepares it"] if "preparedBy" in changed else []
         found = {"algorithm": tuple(words), "dataset": tuple(recording)}
         self._edits[key] = {part: told for part, told in found.items() if told} or {
             "settings": ("its settings",)

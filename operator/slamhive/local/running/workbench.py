@@ -13,12 +13,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from slamhive import __version__
 from slamhive.data.inspecting.known import FINDINGS, looked_at, require_possible, sensors_used
 from slamhive.data.making.preparation import evict_variants, prepare, variant_folder
+from slamhive.data.making.programmed import folder_by_program, prepare_by_program
 from slamhive.data.recordings.entries import remember
 from slamhive.data.recordings.version import VERSION
 from slamhive.data.store.datasets import DatasetEntry, dataset_sha256, made_from, materialise
 from slamhive.data.store.groundtruth import ground_truth
 from slamhive.local.programs.environments import digest_of
 from slamhive.local.programs.executors import Programs
+from slamhive.local.programs.preparing import Preparer
 from slamhive.local.programs.unavailable import GivenUp
 from slamhive.local.programs.versions import Versions
 from slamhive.local.running.measuring_apart import measuring_process
@@ -96,6 +98,7 @@ class Workbench:
         self._checksums: dict[str, str] = {}
         self._truths: dict[str, GroundTruthPoses | None] = {}
         self._findings: dict[str, list[OpenFinding]] = {}
+        self._failed: dict[str, str] = {}
         self._locks: dict[str, threading.Lock] = {}
         self._lock = threading.Lock()
 
@@ -205,7 +208,10 @@ class Workbench:
             InputError: the dataset can't be used.
         """
         checksum = self.checksum(spec["datasetRef"]["name"])
-        hashed = content_hash(spec_hash, program.algorithm_hash, checksum, str(VERSION), program.environment)
+        preparer = self.preparer(spec)
+        by = preparer.digest if preparer else None
+        parts = (program.algorithm_hash, checksum, str(VERSION), program.environment, by)
+        hashed = content_hash(spec_hash, *parts)
         return self.circumstances(spec_hash).replace(
             content_hash=hashed,
             algorithm_hash=program.algorithm_hash,
@@ -213,6 +219,7 @@ class Workbench:
             image_id=program.image_id,
             dataset_sha256=checksum,
             preparation=str(VERSION),
+            prepared_by=by,
         )
 
     def circumstances(self, spec_hash: str) -> Provenance:
@@ -270,17 +277,28 @@ class Workbench:
         name = spec["datasetRef"]["name"]
         entry = self.dataset(name)
         found = self.findings(name)
-        with self._making(f"preparing a recording of {name} (once)", lambda _: None) as progress:
-            variant = prepare(
-                entry,
-                mode.needs,
-                InputOptions.model_validate(spec["input"]),
-                algorithm.spec.formats(mode),
-                self.home.folder("variants"),
-                progress,
-                topics=mode.topics or (),
-            )
+        options = InputOptions.model_validate(spec["input"])
+        wanted = (entry, mode.needs, options, algorithm.spec.formats(mode), self.home.folder("variants"))
+        preparer, topics = self.preparer(spec), mode.topics or ()
+        what = f"preparing a recording of {name}{f' by {preparer.name}' if preparer else ''} (once)"
+        with self._making(what, lambda _: None) as progress:
+            if preparer is None:
+                variant = prepare(*wanted, progress, topics=topics)
+            else:
+                variant = prepare_by_program(*wanted, preparer, progress, topics=topics)
         return replace(variant, findings=tuple(found))
+
+    def preparer(self, spec: dict[str, Any]) -> Preparer | None:
+        """Return the program that prepares the recording of a run; None where none does.
+
+        Raises:
+            InputError: the dataset has none of that name, or it can't run here.
+        """
+        asked = InputOptions.model_validate(spec["input"]).program
+        if asked is None:
+            return None
+        place = self.workshop.dataset(spec["datasetRef"]["name"])
+        return Preparer.of(self.home, self.programs, place, asked, self._failed)
 
     def require_possible(self, spec: dict[str, Any], algorithm: Algorithm) -> None:
         """Refuse a run that a finding of its dataset makes impossible.
@@ -299,8 +317,9 @@ class Workbench:
 
     def _sensors(self, spec: dict[str, Any], algorithm: Algorithm) -> list[str]:
         roles = algorithm.spec.mode(SensorMode(spec["sensors"])).needs
-        remap = InputOptions.model_validate(spec["input"]).remap
-        return sensors_used(self.dataset(spec["datasetRef"]["name"]).dataset.spec, roles, remap)
+        options = InputOptions.model_validate(spec["input"])
+        dataset = self.dataset(spec["datasetRef"]["name"]).dataset.spec
+        return sensors_used(dataset, dataset.recorded_roles(roles, options.program), options.remap)
 
     def variant(self, spec: dict[str, Any], algorithm: Algorithm) -> Path:
         """Return the folder of the variant that a run's spec asks for, made or not; its dataset is there.
@@ -309,11 +328,14 @@ class Workbench:
             InputError: the dataset can't be prepared like this.
         """
         mode = algorithm.spec.mode(SensorMode(spec["sensors"]))
-        return variant_folder(
+        wanted = (
             self.dataset(spec["datasetRef"]["name"]),
             mode.needs,
             InputOptions.model_validate(spec["input"]),
             algorithm.spec.formats(mode),
             self.home.path / "variants",
-            topics=mode.topics or (),
         )
+        preparer, topics = self.preparer(spec), mode.topics or ()
+        if preparer is not None:
+            return folder_by_program(*wanted, preparer, topics=topics)
+        return variant_folder(*wanted, topics=topics)

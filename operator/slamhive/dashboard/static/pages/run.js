@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /** One run: how it was set, what it cost, what was measured, and how to run it again. */
+import { withHealth } from '../charts/health.js';
 import { overTime, shared, since, truthsOf } from '../charts/trajectory.js';
 import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
@@ -393,18 +394,22 @@ function Trajectory({ base, results, name, cameras }) {
   const errors = useMemo(
     () =>
       data &&
-      overTime(
-        [
-          {
-            name: 'error',
-            t: since(data.estimate.t, data.clock.start),
-            values: data.estimate.error,
-          },
-        ],
-        'error [m]',
-        shared([data]).title,
+      withHealth(
+        overTime(
+          [
+            {
+              name: 'error',
+              t: since(data.estimate.t, data.clock.start),
+              values: data.estimate.error,
+            },
+          ],
+          'error [m]',
+          shared([data]).title,
+        ),
+        results.find((one) => one.evaluation === data.evaluation),
+        data.clock.start,
       ),
-    [data],
+    [data, results],
   );
   const choice = results.length > 1 || error?.field === 'evaluation';
   return html`

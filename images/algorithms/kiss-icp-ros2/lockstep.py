@@ -1,1 +1,0 @@
-../kiss-icp/adapter.py

@@ -1,1 +1,0 @@
-../rko-lio/adapter.py
