@@ -462,21 +462,23 @@ class SweepReconciler:
         body, memory = seen.body, seen.memory
         # A Sweep is complete when its runs are measured, not when they have ended.
         settled = len(seen.settled) == len(seen.runs)
+        over = decision.verdict.is_final and settled
+        # However many runs end, the status is written once in this time; the Sweep's own end does not wait.
+        wait = memory.written_at + cluster.settings.sweep_write_seconds - now
+        if wait > 0 and not over and memory.search is not None:
+            return [wait]  # which of thousands of settings are the best is seen once in this time, too
         phase, conditions = _standing(cluster, seen, decision, settled, blocked)
         status = _figures(memory, seen.tally) | SweepStatus(
             phase=phase, observed_generation=body["metadata"].get("generation", 1)
         )
         if memory.started_at is not None:
             status |= SweepStatus(start_time=iso(memory.started_at))
-        over = decision.verdict.is_final and settled
         if over and not body["status"].get("completionTime"):
             status |= SweepStatus(completion_time=iso(now))
         is_news = bool(status_patch(body, status.as_patch(), conditions, now))
         fresh = self._keeper is not None and not all(memory.kept.has(run) for run in seen.settled)
         if not is_news and not fresh:
             return []
-        # However many runs end, the status is written once in this time; the Sweep's own end does not wait.
-        wait = memory.written_at + cluster.settings.sweep_write_seconds - now
         if wait > 0 and not (over and is_news):
             return [wait]
         away = await self._keep(cluster, seen)
