@@ -262,7 +262,7 @@ class Trajectory:
 
 @dataclass
 class HealthLog:
-    """What the algorithm says of itself, for output/health.csv.
+    """Rows of output/health.csv, in which the algorithm speaks of itself.
 
     Attributes:
         rows: Sensor time in ns, its confidence (larger is more) if it has one, and ok, degraded, lost or

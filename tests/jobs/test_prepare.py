@@ -305,3 +305,60 @@ def test_files_of_the_network_are_fetched_once(pod: Any, filed: Any, https: Any)
     reason, sentence = pod.run("prepare", request=filed).error
     assert reason == "SystemFault"
     assert f"{https.url}/words" in sentence
+
+
+@pytest.fixture
+def masked(filed: Any) -> Any:
+    """The request of a run whose frames a program makes."""
+    filed["dataset"]["spec"]["preparations"] = {"masked": {"image": "example.org/mask:1"}}
+    filed["input"] = {"preparedBy": "masked", "duration": "2s"}
+    return filed
+
+
+def made_by_program(pod: Any, does: Any) -> None:
+    """Do what the container between both of ours does."""
+    given, out = pod.root / "work" / "in" / "lidar", pod.root / "work" / "own" / "out"
+    assert len([*given.glob("*.npy")]) == 20
+    does(given, out)
+
+
+def test_a_program_of_the_dataset_runs_between_showing_and_taking(pod: Any, masked: Any) -> None:
+    (pod.root / "work" / "in").mkdir(parents=True)
+    plain = read_description(pod.run("prepare", request=masked | {"input": {"duration": "2s"}}).message)
+    assert pod.run("prepare", "--show", request=masked).code == 0
+    made_by_program(pod, lambda given, out: shutil.copytree(given, out / "lidar"))
+    found = read_description(pod.run("prepare", request=masked).message)
+    assert found is not None
+    assert plain is not None
+    assert found.prepared_by
+    assert (plain.prepared_by, found.frames, found.sensors) == (None, 20, plain.sensors)
+    assert (found.recorded_seconds, found.dataset_sha256) == (plain.recorded_seconds, plain.dataset_sha256)
+    assert (pod.root / "data" / "variants" / found.folder / "recording.bag").exists()
+
+
+@pytest.mark.parametrize(
+    ("does", "sentence"),
+    [
+        (lambda *_: None, "wrote nothing; expected frames of lidar; its log: kubectl logs "),
+        (lambda given, out: (out.rmdir(), out.symlink_to(given.parent)), "left no folder 'out'; its log: "),
+        (
+            lambda given, out: (out / "lidar").symlink_to(given),
+            "wrote 'lidar', which is no folder; its log: ",
+        ),
+    ],
+)
+def test_what_a_program_of_the_dataset_left_is_no_way_to_elsewhere(
+    pod: Any, masked: Any, does: Any, sentence: str
+) -> None:
+    (pod.root / "work" / "in").mkdir(parents=True)
+    assert pod.run("prepare", "--show", request=masked).code == 0
+    made_by_program(pod, does)
+    reason, message = pod.run("prepare", request=masked).error
+    assert reason == "PreparationFailed"
+    assert message.startswith(f"the preparation 'masked' of dataset 'hall' {sentence}")
+
+
+def test_a_program_that_a_dataset_does_not_name_is_refused(pod: Any, masked: Any) -> None:
+    masked["input"]["preparedBy"] = "maskd"
+    expected = "input.preparedBy: no preparation 'maskd'; did you mean 'masked'?"
+    assert pod.run("prepare", "--show", request=masked).error == ("PreparationFailed", expected)

@@ -161,14 +161,16 @@ def evaluating(request: dict[str, Any], evaluator: Evaluator | None = None) -> d
     )
 
 
-def preparing(preparation: dict[str, Any] | None = None, **spec: Any) -> dict[str, Any]:
+def preparing(
+    preparation: dict[str, Any] | None = None, by: str | None = None, **spec: Any
+) -> dict[str, Any]:
     declared, data = algorithm(), dataset(**spec)
     return variant_job(
         namespace="lab",
         name="v-0123",
         dataset=data,
         algorithm=declared,
-        spec=spec_of(declared, data),
+        spec=spec_of(declared, data, **({"input": {"preparedBy": by}} if by else {})),
         settings=settings().replace(preparation=PreparationJobs.model_validate(preparation or {})),
         owners=[reference(Kind.MAPPING_RUN, run())],
     )
@@ -202,6 +204,10 @@ TEMPLATE = "voxel: {{ parameters['voxel.size'] }}\ntopic: {{ sensors.lidar.topic
 FILES = [{"path": "config/lio.yaml", "template": TEMPLATE}]
 
 
+PROGRAMS = {
+    "masked": {"image": "example.org/mask:1", "command": ["mask", "$(HOME)"], "disk": "5Gi"},
+    "local": {"local": {"adapter": "mask.py"}},
+}
 MIRROR = {
     "catalogue": "sequences",
     "certificates": "mirror",
@@ -217,6 +223,7 @@ JOBS = {
     "settings-files": lambda: built(declared=algorithm(files=FILES), resources={"cpu": 2, "memory": "2Gi"}),
     "ros2-node": playing,
     "prepare": preparing,
+    "prepare-by-program": lambda: preparing(by="masked", preparations=PROGRAMS),
     "prepare-by-mirror": lambda: preparing(MIRROR),
     "evaluate": lambda: evaluating(batch()),
     "custom-evaluator": lambda: evaluating(
@@ -485,6 +492,27 @@ def test_a_perturbation_that_changes_something_has_a_variant_of_its_own() -> Non
     others = [named(perturb=one) for one in (noise, noise | {"seed": 3}, {"timeOffset": {"lidar": 0.1}})]
     assert len({named(), *others}) == 4
     assert named(perturb=noise | {"seed": 1}) == others[0]
+
+
+def test_programs_that_a_dataset_names_change_variants_of_those_that_ask_for_them() -> None:
+    def by(name: str, **changes: Any) -> str:
+        programs = PROGRAMS | {"masked": PROGRAMS["masked"] | changes}
+        return named(dataset(preparations=programs), preparedBy=name)
+
+    assert named() == named(dataset(preparations=PROGRAMS)) == by("none")
+    same = [by("masked"), by("masked", description="Another", memory="1Gi")]
+    others = [by("masked", image="example.org/mask:2"), by("masked", command=["other"])]
+    assert (len({*same}), len({named(), *same, *others})) == (1, 4)
+
+
+def test_a_program_of_a_dataset_sees_its_frames_and_nothing_else() -> None:
+    show, program, prepare = containers(preparing(by="masked", preparations=PROGRAMS))
+    places = {place["mountPath"]: place.get("readOnly", False) for place in program["volumeMounts"]}
+    assert places == {"/slamhive/in": True, "/slamhive/own": False, "/tmp": False}
+    assert (show["image"], program["image"]) == (prepare["image"], "example.org/mask:1")
+    assert all(place["name"] in {"in", "own"} for place in program["volumeMounts"])
+    with pytest.raises(InputError, match="names no image"):
+        preparing(by="local", preparations=PROGRAMS)
 
 
 def test_a_preparation_is_asked_for_what_matters() -> None:

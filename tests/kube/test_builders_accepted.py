@@ -18,7 +18,7 @@ NOT_HERE = ("priorityClassName", "runtimeClassName")
 
 
 def test_all_are_accepted(control_plane: Cluster, namespace: str) -> None:
-    assert len(MANIFESTS) == 8
+    assert len(MANIFESTS) == 9
     until(
         lambda: not control_plane.run("-n", namespace, "get", "serviceaccount", "default").returncode,
         "the namespace's account",

@@ -635,6 +635,56 @@ def test_a_preparation_that_failed_says_why(made: dict[str, Any], reason: Reason
     assert part in found.problem[1]
 
 
+def by_program(message: str | None, code: int = 1, shown: int = 0, **terminated: Any) -> dict[str, Any]:
+    """Return the pod of a preparation that ended while a program of the Dataset made its frames."""
+    found = ours("program", message, code, **terminated)
+    told = {"exitCode": shown, "message": ERROR if shown else None, "finishedAt": "2026-11-21T15:13:23Z"}
+    theirs = [] if shown else found["status"]["containerStatuses"]
+    first = {"name": "show", "state": {"terminated": told}}
+    found["status"]["initContainerStatuses"] = [first, *theirs]
+    waits = {"waiting": {"reason": "PodInitializing"}}
+    found["status"]["containerStatuses"] = [{"name": "prepare", "state": waits}]
+    return found
+
+
+LATE = {"reason": "DeadlineExceeded", "message": "Pod was active on the node longer than the deadline"}
+FULL = {"reason": "Evicted", "message": 'Usage of EmptyDir volume "own" exceeds the limit "5Gi". '}
+
+
+@pytest.mark.parametrize(
+    ("made", "status", "sentence"),
+    [
+        (
+            by_program("loading\nno weights\n", 3),
+            {},
+            "failed: exit code 3; its log ends: loading | no weights",
+        ),
+        (by_program(None, 4), {}, "failed: exit code 4"),
+        (by_program(ERROR, 1), {}, f"failed: exit code 1; its log ends: {ERROR}"),
+        (by_program(None, 137, reason="OOMKilled"), {}, "failed: it needed more memory than its limit"),
+        (by_program("on it", 137), LATE, "failed: it took more than its timeout; its log ends: on it"),
+        (by_program(None, 137), FULL, f"failed: {FULL['message'].strip()}"),
+    ],
+)
+def test_a_program_of_the_dataset_that_failed_is_told_by_name(
+    made: dict[str, Any], status: dict[str, str], sentence: str
+) -> None:
+    labels = {"slamhive.io/preparation": "masked", "slamhive.io/dataset": "hall"}
+    asked = job()
+    asked["metadata"]["labels"] |= labels
+    made["status"] |= status
+    found = observe_variant(asked, [made])
+    expected = f"the preparation 'masked' of dataset 'hall' {sentence}"
+    assert (found.state, found.problem) == (VariantState.FAILED, (Reason.PREPARATION_FAILED, expected))
+
+
+def test_what_comes_before_a_program_is_no_fault_of_it() -> None:
+    asked = job()
+    asked["metadata"]["labels"] |= {"slamhive.io/preparation": "masked", "slamhive.io/dataset": "hall"}
+    found = observe_variant(asked, [by_program(None, shown=1)])
+    assert found.problem == (Reason.DATASET_MISSING, "no file a.bag")
+
+
 def test_an_evaluator_that_failed_says_which_container() -> None:
     assert observe_job(job("Complete"), [ours("evaluate", None)]).problem is None
     custom = ours("evaluator", "no such trajectory\n", 2)

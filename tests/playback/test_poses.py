@@ -35,8 +35,10 @@ def transform(stamp: float, parent: str, child: str, *place: float) -> Record:
 
 MESSAGES: dict[str, Any] = {
     "PoseStamped": Record(header=header(2.5), pose=bare(1.0)),
-    "Odometry": Record(header=header(2.5), pose=Record(pose=bare(1.0))),
-    "PoseWithCovarianceStamped": Record(header=header(2.5), pose=Record(pose=bare(1.0))),
+    "Odometry": Record(header=header(2.5), pose=Record(pose=bare(1.0), covariance=[0.0] * 36)),
+    "PoseWithCovarianceStamped": Record(
+        header=header(2.5), pose=Record(pose=bare(1.0), covariance=np.zeros(36))
+    ),
     "Path": Record(poses=[Record(header=header(2.5), pose=bare(1.0))]),
 }
 

@@ -12,6 +12,7 @@ import pytest
 from slamhive.playback.player.poses import Pose
 from slamhive.playback.player.recorder import Recorder, merge_metrics, quantile
 from slamhive.playback.protocol import FrameSource
+from slamhive_eval import read_covariances
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -47,6 +48,19 @@ def test_a_pose_belongs_to_a_frame(match: str, stamps: list[float], frames: list
     for stamp in stamps:
         made.poses([pose(stamp)], 2000 * MS)
     assert [stamp // MS for stamp, _, _ in made.latencies()] == sorted(set(frames))
+
+
+def test_covariances_are_those_of_the_poses_as_first_published(tmp_path: Path) -> None:
+    made = recorder(time_offset=0.5)
+    known = [np.diag(np.arange(1.0, 7.0)) + k * (np.eye(6, k=1) + np.eye(6, k=-1)) for k in range(3)]
+    for at, which in ((100, 1), (0, 0), (0, 2)):
+        made.poses([pose(at)._replace(covariance=tuple(known[which].ravel().tolist()))], 2000 * MS)
+    made.poses([pose(200)], 2000 * MS)
+    (tmp_path / "covariances.csv").write_text(made.covariances())
+    stamps, found = read_covariances(tmp_path / "covariances.csv")
+    assert stamps.tolist() == [0.5, 0.6]
+    np.testing.assert_array_equal(found, known[:2])
+    assert recorder().covariances() == ""
 
 
 def test_numbers() -> None:

@@ -29,6 +29,15 @@ def test_outside_names_are_camel_case_and_survive_a_round_trip() -> None:
         ({"lidar": {"minRange": 4.0, "maxRange": 3.0}}, "maxRange"),
         ({"noise": float("nan")}, "noise"),
         ({"rig": "Flat"}, "'Askew', 'Euroc' or 'Mav'"),
+        (
+            {"scene": "Field", "sensors": ["Lidar", "Rgbd"]},
+            "scene: Field has no texture for cameras, found Rgbd",
+        ),
+        ({"people": 21}, "people"),
+        (
+            {"vibration": {"spectrum": "Vehicle"}, "imu": {"rate": 100}},
+            "spectrum Vehicle with up to 26.25 is",
+        ),
         ({"vibration": {"minFrequency": 6.0, "maxFrequency": 4.0}}, "maxFrequency 4.0 must not be less"),
         ({"vibration": {"amplitudeMetres": 0.5}}, "amplitudeMetres"),
         ({"vibration": {}, "imu": {"rate": 19.9}}, "rate"),

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     Mask = npt.NDArray[np.bool_]
 
 HOLD_SECONDS = 1.0
-"""What a system said longer ago than this holds no more."""
+"""Age at which a row of confidence holds no more."""
 MOST_TOLD = 100
 """Losses, and warnings, that are told one by one."""
 SAME_STAMP_SECONDS = 1e-3
@@ -85,7 +85,7 @@ class ToldLoss:
 
 @dataclass(frozen=True, eq=False)
 class Awareness:
-    """What a system's confidence was worth.
+    """Worth of a system's confidence: leads, false and missed warnings, AUC.
 
     Attributes:
         rows: Number of rows that it said.

@@ -41,6 +41,7 @@ def program(run: Run) -> None:
         estimate.stamps = [stamp + offset for stamp in estimate.stamps]
     lost = len(tracker.stamps) - len(trajectory.stamps)
     write_numbers(run, frames, tracker.watch, framesLost=lost, keyframes=len(keyframes.stamps))
+    tracker.health.write(run.output / "health.csv")
     keyframes.write(run.output / "trajectory.keyframes.txt")
     trajectory.write(run.output / "trajectory.txt")
 

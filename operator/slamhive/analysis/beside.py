@@ -119,7 +119,7 @@ def _health(
     *,
     pieces: Sequence[Piece] | None,
 ) -> dict[str, Any]:
-    """Return what confidence and covariances of a run come to; nothing where it told none."""
+    """Return the figures of a run's confidence and covariances; nothing where it told none."""
     files: dict[str, Any] = {}
     wrong: list[str] = []
     for name, read in _WANTED.items():

@@ -42,12 +42,14 @@ class RobustnessWish:
         quantile: share of the runs that must fail for a value to fail; None for that of the searches, or
             else one half.
         searches: what the Sweeps sought, by name.
+        option: what names the axes, for complaints.
     """
 
     axes: tuple[str, ...] = ()
     failing: str | None = None
     quantile: float | None = None
     searches: Mapping[str, Search] = field(default_factory=dict)
+    option: str = "x"
 
     def rule(self, sweep: str | None) -> Failing:
         """Return the rule by which runs of a Sweep failed."""
@@ -106,7 +108,9 @@ def robustness(frame: Frame, wish: RobustnessWish) -> RobustnessCard:
         inside = np.isfinite(numbers) & _apart_from(frame, axis, axes, wish)
         part = frame.select(inside)
         runs += len(part)
-        for key, members in _series(part, axis):
+        sweeps = {one for one in part.column("sweep").tolist() if one is not None}
+        searches = [search for name, search in wish.searches.items() if name in sweeps]
+        for key, members in _series(part, axis, searches):
             own = np.flatnonzero(inside)[members]
             quantile = wish.quantile or wish.rule(_first(part, "sweep", members)).quantile
             counts = [
@@ -131,27 +135,31 @@ def robustness(frame: Frame, wish: RobustnessWish) -> RobustnessCard:
 
 def _axes(frame: Frame, wish: RobustnessWish) -> tuple[str, ...]:
     if wish.axes:
-        names = tuple(dict.fromkeys(frame.resolve(name, "x") for name in wish.axes))
+        names = tuple(dict.fromkeys(frame.resolve(name, wish.option) for name in wish.axes))
         for name in names:
             if not np.isfinite(frame.column(name).floats()).any():
-                raise InputError(f"{name}: a column of numbers is needed, this one holds none", "x")
-        return _few(names)
+                raise InputError(f"{name}: a column of numbers is needed, this one holds none", wish.option)
+        return _few(names, wish)
     sweeps = {one for one in frame.column("sweep").tolist() if one is not None}
     sought = [search.axis for name, search in sorted(wish.searches.items()) if name in sweeps]
     names = tuple(dict.fromkeys(name for name in sought if name and frame.has(name)))
     if names:
-        return _few(names)
+        return _few(names, wish)
     varied = [name for name in varying(frame) if _is_axis(frame, name)]
     if not varied:
-        raise InputError("no number was varied in these runs: there is nothing to fail by", "x")
+        raise InputError("no number was varied in these runs: there is nothing to fail by", wish.option)
     if len(varied) > 1 and len(set(map(str, sweeps))) < len(varied):
-        raise InputError(f"{', '.join(varied)} were varied: name the axes whose thresholds are meant", "x")
-    return _few(tuple(varied))
+        raise InputError(
+            f"{', '.join(varied)} were varied: name the axes whose thresholds are meant", wish.option
+        )
+    return _few(tuple(varied), wish)
 
 
-def _few(names: tuple[str, ...]) -> tuple[str, ...]:
+def _few(names: tuple[str, ...], wish: RobustnessWish) -> tuple[str, ...]:
     if len(names) > MOST_AXES:
-        raise InputError(f"{len(names)} axes are meant, at most {MOST_AXES} are shown: name some", "x")
+        raise InputError(
+            f"{len(names)} axes are meant, at most {MOST_AXES} are shown: name some", wish.option
+        )
     return names
 
 
@@ -168,16 +176,24 @@ def _apart_from(frame: Frame, axis: str, axes: Sequence[str], wish: RobustnessWi
         for name, search in wish.searches.items()
         if not wish.axes and search.axis in axes and search.axis != axis
     ]
-    inside = np.ones(len(frame), dtype=bool)
+    inside: Mask = np.ones(len(frame), dtype=bool)
     for name in others:
         inside &= ~where_equal(frame, "sweep", name)
     return inside
 
 
-def _series(part: Frame, axis: str) -> list[tuple[dict[str, Any], Any]]:
+def _series(part: Frame, axis: str, searches: Sequence[Search]) -> list[tuple[dict[str, Any], Any]]:
     """Return what was run, and the places of its runs, for all values of an axis together."""
     names = [name for name in SUBJECT if name == "algorithm" or varies(part, name)]
-    names += [name for name in varying(part) if name != axis and "seed" not in name.lower()]
+    # An attribute follows from its dataset, a seed and what was gone across make repetitions.
+    repeated = {name for search in searches for name in search.across or ()}
+    names += [
+        name
+        for name in varying(part)
+        if name not in {axis, *repeated}
+        and "seed" not in name.lower()
+        and not name.startswith("dataset.attributes.")
+    ]
     part, facets = apart(part, [*SUBJECT, *names, axis], ())
     # A run that broke off was not measured: it belongs to those that were.
     facets = [name for name in facets if len({*part.column(name).tolist()} - {None}) > 1]
@@ -193,7 +209,10 @@ def _judged(frame: Frame, wish: RobustnessWish) -> tuple[Mask, Mask]:
     measured = done & frame.column("outcome").present
     tracked = where_equal(frame, "outcome", Outcome.TRACKED.value)
     if wish.failing is not None:
-        failed = parse_where(wish.failing, frozenset(frame.names)).mask(frame)
+        try:
+            failed = parse_where(wish.failing, frozenset(frame.names)).mask(frame)
+        except InputError as error:
+            raise InputError(str(error), "failing") from None
         return broken | (measured & failed), broken | measured
     sweeps = frame.column("sweep").tolist()
     failed = np.zeros(len(frame), dtype=bool)
@@ -256,5 +275,7 @@ def searches_of(specs: Mapping[str, Mapping[str, Any]]) -> dict[str, Search]:
         except ValidationError:
             continue  # of another version of slamhive
         labels = {one.get("name") or one.get("path"): one.get("path") for one in spec.get("matrix") or ()}
-        found[name] = search.replace(axis=labels.get(search.axis) or search.axis)
+        across = [labels.get(label) or label for label in search.across or ()]
+        axis = labels.get(search.axis) or search.axis
+        found[name] = search.replace(axis=axis, across=across or None)
     return found

@@ -97,7 +97,7 @@ def decide_threshold(
     wanted = tuple(index for one in judged for index in one.missing)
     seen = _by_series(space, trials, judged)
     turns = {
-        place: _turn(search, space.ladder, seen.get(space.key(series), {}))
+        place: _turn(search, space.ladder, seen.get(space.series_key(series), {}))
         for place, series in enumerate(space.series)
     }
     # What waits for results draws its next turn after them: no later one may be numbered before that.
@@ -123,7 +123,7 @@ def tallies(
     judged = [_judged(search, space, number, trial, runs) for number, trial in enumerate(trials)]
     seen = _by_series(space, trials, judged)
     return [
-        (series, [one.tally for _, one in sorted(seen.get(space.key(series), {}).items())])
+        (series, [one.tally for _, one in sorted(seen.get(space.series_key(series), {}).items())])
         for series in space.series
     ]
 
@@ -137,7 +137,7 @@ def _by_series(
         series, value = space.part(trial.values)
         rung = space.ladder.rung(value)
         if rung is not None:
-            found.setdefault(space.key(series), {}).setdefault(rung, one)
+            found.setdefault(space.series_key(series), {}).setdefault(rung, one)
     return found
 
 
@@ -247,12 +247,11 @@ def _widest(ladder: Ladder, rungs: Sequence[int]) -> tuple[int, ...]:
 def _standing(number: int, one: _Judged) -> TrialStanding:
     is_done = not one.missing
     is_known = one.tally.known > 0
+    unknown = "nothing is known of its runs: the machine failed, or the measuring"
     return TrialStanding(
         number,
-        [Score(one.tally.share, ())] if is_known else [],
-        one.runs,
-        "nothing is known of its runs: the machine failed, or the measuring"
-        if is_done and not is_known
-        else None,
+        scores=[Score(one.tally.share, ())] if is_known else [],
+        runs=one.runs,
+        dropped=unknown if is_done and not is_known else None,
         is_complete=is_done and is_known,
     )

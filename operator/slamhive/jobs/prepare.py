@@ -4,12 +4,17 @@
 ``python3 -P -m slamhive.jobs.prepare``, with the data volume at ``data`` and ``request/request.json``. Any
 number of these may run at the same time: what they make is made aside and renamed when it is whole, under a
 lock for what takes long.
+
+Where a program of the Dataset makes the frames, it runs in a container of the same pod: ``--show`` lays out
+``work/in`` before it, and this takes what it wrote into ``work/own/out``.
 """
 
 from __future__ import annotations
 
+import os
 import sys
 import time
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +23,7 @@ import numpy as np
 from slamhive.data.files.fetching import fetch, require_sha256
 from slamhive.data.inspecting.known import FINDINGS, looked_at, require_possible, sensors_used
 from slamhive.data.making.preparation import prepare
+from slamhive.data.making.programmed import prepare_by_program, show_for_program
 from slamhive.data.recordings.entries import dataset_sha256
 from slamhive.data.recordings.version import VERSION
 from slamhive.data.store.datasets import materialise
@@ -25,9 +31,16 @@ from slamhive.data.store.groundtruth import ground_truth, write_ground_truth
 from slamhive.jobs.messages import described
 from slamhive.jobs.program import Refused, arguments, parse, read_request, run_program, write_aside
 from slamhive.jobs.requests import PrepareRequest
-from slamhive.model.errors import DataError
+from slamhive.model.errors import DataError, InputError
 from slamhive.model.results import Reason
-from slamhive.model.variant import SUSPICION_LENGTH, VariantDescription, open_codes, suspicion
+from slamhive.model.variant import (
+    SUSPICION_LENGTH,
+    VariantDescription,
+    open_codes,
+    program_digest,
+    program_title,
+    suspicion,
+)
 from slamhive_eval import Trajectory
 
 if TYPE_CHECKING:
@@ -39,39 +52,118 @@ if TYPE_CHECKING:
     from slamhive.data.store.groundtruth import GroundTruthPoses
     from slamhive.jobs.requests import FetchedAsset
     from slamhive.model.dataset import Dataset
+    from slamhive.model.variant import OpenFinding, PreparingProgram
 
 _TELL_SECONDS = 5.0
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Prepare what the request asks for."""
-    options = arguments("Prepare a variant of a dataset.").parse_args(argv)
-    return run_program(lambda: _work(options.root), refusal=Reason.PREPARATION_FAILED)
+    parser = arguments("Prepare a variant of a dataset.")
+    parser.add_argument("--show", action="store_true", help="lay out what a program of the dataset is given")
+    options = parser.parse_args(argv)
+    work = _show if options.show else _work
+    return run_program(lambda: work(options.root), refusal=Reason.PREPARATION_FAILED)
+
+
+def _show(root: Path) -> str:
+    request = parse(PrepareRequest, read_request(root), "request")
+    entry, _, _ = _looked_at(request, root / "data")
+    own = root / "work" / "own"
+    for name in ("out", "home", "tmp"):
+        (own / name).mkdir(parents=True, exist_ok=True)
+    show_for_program(
+        *(entry, request.roles, request.input, root / "data" / "variants"),
+        entry.dataset.spec.preparation(request.input.program or ""),
+        root / "work" / "in",
+        _teller("preparing what the program is given"),
+        topics=request.topics or (),
+    )
+    return described({})
+
+
+def _looked_at(request: PrepareRequest, data: Path) -> tuple[DatasetEntry, list[OpenFinding], list[str]]:
+    """Return the dataset, what is wrong with it, and the names of the sensors that are read.
+
+    Raises:
+        SlamHiveError: It isn't there, or can't be used for these sensors.
+    """
+    dataset, folder = request.dataset, data / "datasets" / request.dataset.name
+    _require_files(dataset, folder)
+    entry = materialise(dataset, folder, data / "generated", _teller(_making(dataset)))
+    found = looked_at(entry, data / "generated" / FINDINGS)
+    roles = entry.dataset.spec.recorded_roles(request.roles, request.input.program)
+    sensors = sensors_used(entry.dataset.spec, roles, request.input.remap)
+    require_possible(entry, found, sensors)
+    return entry, found, sensors
 
 
 def _work(root: Path) -> str:
     request = parse(PrepareRequest, read_request(root), "request")
     data = root / "data"
-    dataset, folder = request.dataset, data / "datasets" / request.dataset.name
-    _require_files(dataset, folder)
-    entry = materialise(dataset, folder, data / "generated", _teller(_making(dataset)))
-    found = looked_at(entry, data / "generated" / FINDINGS)
-    sensors = sensors_used(entry.dataset.spec, request.roles, request.input.remap)
-    require_possible(entry, found, sensors)
+    entry, found, sensors = _looked_at(request, data)
     for asset in request.assets:
         _place(asset, data / "assets")
-    variant = prepare(
-        *(entry, request.roles, request.input, request.formats, data / "variants"),
-        progress=_teller("preparing the variant"),
-        topics=request.topics or (),
-    )
+    wanted = (entry, request.roles, request.input, request.formats, data / "variants")
+    told, topics = _teller("preparing the variant"), request.topics or ()
+    maker = _maker(entry, request, root)
+    if maker is None:
+        variant = prepare(*wanted, told, topics=topics)
+    else:
+        variant = prepare_by_program(*wanted, maker, told, topics=topics)
     cache = data / "generated" / "truths"
     truth = ground_truth(entry, cache)
     place_truth(entry, truth, data / "groundtruth", cache)
     description = _describe(entry, variant, truth, data / "variants" / ".hashes")
+    description = description.replace(prepared_by=maker.digest if maker else None)
     why = suspicion(found, sensors)
-    told = description.replace(findings=open_codes(found, sensors), suspicion=why and why[:SUSPICION_LENGTH])
-    return described(told.as_json())
+    whole = description.replace(findings=open_codes(found, sensors), suspicion=why and why[:SUSPICION_LENGTH])
+    return described(whole.as_json())
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """A program that has run in a container of this pod, before this one.
+
+    Attributes:
+        name: its name.
+        dataset: whose it is.
+        program: what the Dataset says of it.
+        folder: what it was given, as ``in``, and what it wrote, as ``own/out``.
+    """
+
+    name: str
+    dataset: str
+    program: PreparingProgram
+    folder: Path
+
+    @property
+    def digest(self) -> str:
+        """Return what tells it from others: its image as it is named, by its digest where it has one."""
+        return program_digest(self.program)
+
+    def work(self, key: str) -> Path:  # noqa: ARG002
+        """Return its folder."""
+        return self.folder
+
+    def run(self, work: Path, frames: int, progress: Callable[[float], None]) -> Path:  # noqa: ARG002
+        """Return what it wrote."""
+        return work / "own" / "out"
+
+    def failure(self, sentence: str, work: Path) -> InputError:  # noqa: ARG002
+        """Return the error of a program of which a sentence tells what it did, and where its log is."""
+        log = f"kubectl logs {os.environ.get('HOSTNAME', 'POD')} -c program"
+        return InputError(f"{program_title(self.name, self.dataset)} {sentence}; its log: {log}")
+
+    def close(self, work: Path, *, keep_log: bool = False) -> None:
+        """Leave all to the pod, with which it goes."""
+
+
+def _maker(entry: DatasetEntry, request: PrepareRequest, root: Path) -> _Shown | None:
+    name = request.input.program
+    if name is None:
+        return None
+    return _Shown(name, entry.name, entry.dataset.spec.preparation(name), root / "work")
 
 
 def _making(dataset: Dataset) -> str:

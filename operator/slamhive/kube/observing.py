@@ -21,7 +21,7 @@ from slamhive.kube.api.kinds import Label, labels_of
 from slamhive.kube.builders.evaluation import EVALUATE, EVALUATOR, LINKS, READ, REPORT
 from slamhive.kube.builders.restoring import RESTORE
 from slamhive.kube.builders.run import ALGORITHM, MONITOR, RENDER
-from slamhive.kube.builders.variant import PREPARE
+from slamhive.kube.builders.variant import PREPARE, PROGRAM, SHOW
 from slamhive.kube.pods import (
     NO_CONTAINER_CONFIG,
     Ending,
@@ -51,6 +51,7 @@ from slamhive.kube.reports import (
     read_report,
 )
 from slamhive.model.results import Reason, remark_of
+from slamhive.model.variant import program_title
 from slamhive.playback.judging import judge
 from slamhive.playback.pod import NAME as PLAYER
 
@@ -70,6 +71,7 @@ TERMINATING = "Terminating"
 DISRUPTED = "Disrupted"
 """Reason of the waiting of a Job for another pod in the place of one that was taken."""
 _HIDDEN_SECONDS = 2.0
+_LOG_LINES = 5
 _MAIN = (EVALUATE, REPORT, EVALUATOR, LINKS, PREPARE, READ, RESTORE)
 """Containers of our Jobs, the main ones first."""
 _SILENT = "the monitor left no report"
@@ -421,6 +423,7 @@ def observe_variant(job: Object | None, pods: Iterable[Object]) -> VariantObserv
         job: its Job; None when there is none.
         pods: pods, its own among them.
     """
+    pods = [*pods]
     seen = observe_job(job, pods)
     if seen.state is AttemptState.NONE:
         return VariantObserved()
@@ -432,8 +435,40 @@ def observe_variant(job: Object | None, pods: Iterable[Object]) -> VariantObserv
     if seen.problem is None and description is None:
         seen = replace(seen, problem=(Reason.SYSTEM_FAULT, "the preparation's report can't be read"))
     if seen.problem is not None:
-        return VariantObserved(VariantState.FAILED, problem=_of_preparation(seen.problem))
+        problem = _of_program(job, newest(job, pods)) or _of_preparation(seen.problem)
+        return VariantObserved(VariantState.FAILED, problem=problem)
     return VariantObserved(VariantState.READY, description)
+
+
+def _of_program(job: Object | None, pod: Object | None) -> Problem | None:
+    """Return what a program of the Dataset failed of, where a preparation ended in its container."""
+    name = labels_of(job or {}).get(Label.PREPARATION)
+    if name is None or pod is None or ending_of(pod, PREPARE) is not None:
+        return None
+    laid = ending_of(pod, SHOW)
+    if laid is None or laid.exit_code != 0:
+        failure = read_failure(message_of(pod, SHOW))
+        return None if failure is None else (failure.reason, failure.message)
+    ending = ending_of(pod, PROGRAM)
+    told = _told_by_pod(pod, ending)
+    if ending is not None and ending.exit_code == 0:
+        return None
+    if told is not None and told.reason in {Reason.DEADLINE_EXCEEDED, Reason.OUTPUT_TOO_LARGE}:
+        late = told.reason is Reason.DEADLINE_EXCEEDED
+        what = "it took more than its timeout" if late else told.message or "it wrote too much"
+    elif told is not None or ending is None:
+        return None
+    else:
+        end = _watched(ending, None)
+        if end.reason in {Reason.NODE_LOST, Reason.SYSTEM_FAULT}:
+            return None
+        what = (
+            str(end.message) if end.reason is not None or ending.signal else f"exit code {ending.exit_code}"
+        )
+    log = clean(" | ".join((ending.message if ending else "").split("\n")[-_LOG_LINES:]), 600)
+    title = program_title(name, labels_of(job or {}).get(Label.DATASET, ""))
+    end_of_log = f"; its log ends: {log}" if log else ""
+    return Reason.PREPARATION_FAILED, f"{title} failed: {what}{end_of_log}"
 
 
 def _of_preparation(problem: Problem) -> Problem:

@@ -124,7 +124,7 @@ class Search(Model):
         default=4, ge=1, le=100, description="After each step one in so many settings goes on; 1: all."
     )
     at_a_time: int = Field(
-        default=8,
+        default=4,
         ge=1,
         le=1_000,
         description="Settings under way: a new one is proposed by the results of all before these.",

@@ -55,6 +55,25 @@ class SyntheticRig(Choice):
     MAV = "Mav"
 
 
+class SyntheticScene(Choice):
+    """Surroundings: the furnished room, a long corridor, or an open field."""
+
+    ROOM = "Room"
+    CORRIDOR = "Corridor"
+    FIELD = "Field"
+
+
+class SyntheticSpectrum(Choice):
+    """Carriers whose way of shaking a vibration can have."""
+
+    WALKER = "Walker"
+    VEHICLE = "Vehicle"
+
+
+HIGHEST_FREQUENCY = {SyntheticSpectrum.WALKER: 9.9, SyntheticSpectrum.VEHICLE: 26.25}
+"""Highest frequency that a carrier's vibration has, Hz."""
+
+
 class SyntheticLidar(Model):
     """A spinning lidar; every column is taken at its own time and pose."""
 
@@ -135,6 +154,20 @@ class SyntheticVibration(Model):
         default=5.0, description="Highest frequency, Hz."
     )
 
+    spectrum: SyntheticSpectrum | None = Field(
+        default=None,
+        description=(
+            "Carrier whose frequencies it has instead of the band from minFrequency to maxFrequency: Walker, "
+            "as of a person with the platform in the hands, or Vehicle. The amplitudes are then those of the "
+            "strongest axes, whose strongest frequency has them as standard deviation. Null: the band."
+        ),
+    )
+
+    @property
+    def highest_frequency(self) -> float:
+        """Return the highest frequency that it can have, Hz."""
+        return self.max_frequency if self.spectrum is None else HIGHEST_FREQUENCY[self.spectrum]
+
     @model_validator(mode="after")
     def _band_is_not_reversed(self) -> Self:
         if self.max_frequency < self.min_frequency:
@@ -145,7 +178,7 @@ class SyntheticVibration(Model):
 
 
 class SyntheticRecording(Model):
-    """A platform driving laps in a textured room: everything that makes one such recording."""
+    """A platform driving laps, in a textured room or elsewhere: everything that makes one such recording."""
 
     seed: Annotated[int, Field(ge=0, le=2**31 - 1)] = Field(
         default=1, description="Decides the room, its textures, the path's sway and all noise."
@@ -179,6 +212,18 @@ class SyntheticRecording(Model):
     )
     noise: Annotated[float, Field(ge=0.0, le=20.0)] = Field(
         default=1.0, description="Scale of all sensor noise and of IMU biases; 0 gives perfect sensors."
+    )
+    scene: SyntheticScene | None = Field(
+        default=None,
+        description=(
+            "What is around the platform. Room, or null: a furnished hall. Corridor: two walls with door "
+            "frames, 30 m long, walked to and fro. Field: even ground with trees and bushes, for sensors "
+            "other than cameras."
+        ),
+    )
+    people: Annotated[int, Field(ge=0, le=20)] | None = Field(
+        default=None,
+        description="Number of people who walk about, seen by lidars, cameras and depth alike. Null: none.",
     )
     vibration: SyntheticVibration | None = Field(
         default=None,
@@ -230,10 +275,22 @@ class SyntheticRecording(Model):
 
     @model_validator(mode="after")
     def _vibration_can_be_measured(self) -> Self:
-        if self.vibration is not None and self.vibration.max_frequency * 4.0 > self.imu.rate:
+        shaken = self.vibration
+        if shaken is not None and shaken.highest_frequency * 4.0 > self.imu.rate:
+            what = "maxFrequency" if shaken.spectrum is None else f"spectrum {shaken.spectrum} with up to"
             raise ValueError(
-                f"vibration: maxFrequency {self.vibration.max_frequency:g} is more than a quarter of "
+                f"vibration: {what} {shaken.highest_frequency:g} is more than a quarter of "
                 f"imu.rate {self.imu.rate:g}: samples would be too far apart to follow it"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _scene_can_be_seen(self) -> Self:
+        seen = [one for one in self.sensors if one in {SyntheticSensor.STEREO, SyntheticSensor.RGBD}]
+        if self.scene is SyntheticScene.FIELD and seen:
+            raise ValueError(
+                f"scene: Field has no texture for cameras, found {', '.join(seen)} among the sensors; "
+                "leave them out, or take Room or Corridor"
             )
         return self
 

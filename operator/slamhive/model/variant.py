@@ -10,6 +10,7 @@ from pydantic import ConfigDict, Field, StringConstraints, model_validator
 
 from slamhive.model.algorithm import LocalProgram
 from slamhive.model.base import Choice, Duration, Image, Model, Quantity, Scalar, optional
+from slamhive.model.canonical import digest
 from slamhive.model.configuration import PreparedRecording
 from slamhive.model.errors import suggestion
 from slamhive.model.run import NO_PROGRAM
@@ -79,6 +80,16 @@ class PreparingProgram(Model):
         """Return the roles that a recording must fill so that the program can give those of a run."""
         given = self.given
         return tuple(dict.fromkeys(given[role].follows if role in given else role for role in roles))
+
+
+def program_title(name: str, dataset: str) -> str:
+    """Return what a preparing program is called in sentences."""
+    return f"the preparation {name!r} of dataset {dataset!r}"
+
+
+def program_digest(program: PreparingProgram) -> str:
+    """Return what tells a preparing program of an image from others, where only the image's name is known."""
+    return digest({"image": program.image, "command": program.command})
 
 
 _PROGRAM_NAME = re.compile(r"[a-z0-9]([-a-z0-9]{0,38}[a-z0-9])?")
@@ -180,6 +191,7 @@ class VariantDescription(PreparedRecording):
     )
     attributes: dict[str, Scalar] = Field(default_factory=dict, description="To select and plot by.")
     preparation_version: int = 1
+    prepared_by: str | None = optional("Digest of the program that made its frames.", max_length=64)
     findings: list[str] | None = Field(default=None, description="Codes of what is wrong with its recording.")
     suspicion: str | None = Field(
         default=None, max_length=SUSPICION_LENGTH, description="What may be why programs fail on it."

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
-    from slamhive.plan.searching import SearchedAxis
+    from slamhive.plan.axes import Dimension
 
 _DIGITS = 12
 _MOST_HALVINGS = 40
@@ -26,7 +26,8 @@ class Ladder:
     """Numbers of an axis, lowest first, none of them listed where they are many.
 
     Args:
-        axis: the axis.
+        axis: the compiled axis.
+        is_integer: whether only whole numbers of its range may be tried.
         tolerance: distance of neighbours at most on a range of any numbers, of a logarithmic range their
             ratio less 1; default: a hundredth of the range.
 
@@ -34,25 +35,24 @@ class Ladder:
         InputError: its values are no numbers, or there is one alone.
     """
 
-    def __init__(self, axis: SearchedAxis, tolerance: float | None = None) -> None:
-        self.label, self.is_log = axis.label, axis.is_log
-        where = axis.dimension.where
+    def __init__(self, axis: Dimension, tolerance: float | None = None, *, is_integer: bool = False) -> None:
+        span, where = axis.span, axis.where
+        self.is_log = span is not None and span.scale == "Log"
         self._rungs: dict[float, int | None] = {}
-        ends = axis.ends
         self._values: list[Any] | range | None = None
-        if ends is None:
-            numbers = axis.numbers
-            if numbers is None:
-                odd = next(value for value in axis.dimension.values if not _is_number(value))
+        if span is None:
+            odd = [value for value in axis.values if not _is_number(value)]
+            if odd:
                 raise InputError(
-                    f"spec.search.axis: a threshold is sought on numbers, {axis.label} has the value {odd!r}"
+                    f"spec.search.axis: a threshold is sought on numbers, {axis.label} has the value "
+                    f"{odd[0]!r}"
                 )
-            self._values = sorted(numbers)
-        elif axis.is_integer:
-            self._values = range(math.ceil(ends[0]), math.floor(ends[1]) + 1)
+            self._values = sorted(axis.values)
+        elif is_integer:
+            self._values = range(math.ceil(span.from_), math.floor(span.to) + 1)
         else:
-            self._low, self._high = ends
-            self._parts = _parts(ends, tolerance, where, is_log=self.is_log)
+            self._low, self._high = span.from_, span.to
+            self._parts = _parts((span.from_, span.to), tolerance, where, is_log=self.is_log)
         if len(self) < 2:
             raise InputError(f"{where}: has one value, a threshold needs two at least")
         if tolerance is not None and self._values is not None:

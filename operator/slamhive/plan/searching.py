@@ -211,7 +211,8 @@ class SearchSpace:
         """Lay out the seeking of thresholds: an axis, and a series for each combination of the others."""
         labels = [axis.label for axis in self.axes]
         self.sought = labels.index(search.axis or "")
-        self.ladder = Ladder(self.axes[self.sought], search.tolerance)
+        sought = self.axes[self.sought]
+        self.ladder = Ladder(sought.dimension, search.tolerance, is_integer=sought.is_integer)
         for axis in self.axes:
             if axis.ends is not None and axis.label != search.axis:
                 raise InputError(
@@ -302,6 +303,10 @@ class SearchSpace:
         """Return the values on the axes besides the one whose threshold is sought, and the one on that."""
         place = self.sought
         return (*values[:place], *values[place + 1 :]), values[place]
+
+    def series_key(self, series: Sequence[Any]) -> str:
+        """Return a text that is equal for equal values on the axes besides the sought one."""
+        return _key(list(series))
 
     def joined(self, series: Sequence[Any], value: Any) -> list[Any]:
         """Return the values on all axes: the inverse of ``part``."""

@@ -11,6 +11,7 @@ import select
 import signal
 import subprocess
 import sys
+from collections import deque
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Self
 
@@ -23,14 +24,16 @@ from slamhive.sampling.limits import CPU_SECONDS, WALL_SECONDS
 from slamhive.sampling.telling import TrialsTold, value_meant
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from slamhive.engine import TrialStanding
     from slamhive.model.search import Search
     from slamhive.plan.searching import SearchSpace
 
-_TRIES = 16
-"""Suggestions that are asked for when the first one was tried already."""
+_TRIES = ((0, 1), (1, 3), (4, 12))
+"""Suggestions that are asked for where those before were tried already: from which on, how many."""
+_MOST_AROUND = 1_000
+"""Settings around a suggestion that are looked at for one that wasn't tried."""
 _NEEDS = {
     SearchMethod.SOBOL: ("scipy",),
     SearchMethod.TPE: ("optuna", "scipy"),
@@ -106,11 +109,16 @@ class Sampler:
         if space.size is not None and len(tried) >= space.size:
             return None
         asked = self._told.question(search, standings, told)
-        for begin, tries in ((0, 1), (1, _TRIES)):
+        learns = search.method in {SearchMethod.TPE, SearchMethod.NSGA_II}
+        for begin, tries in _TRIES:
             for found in self._answer(asked | {"begin": begin, "tries": tries}, search.method):
-                values = [value_meant(axis, value) for axis, value in zip(space.axes, found, strict=True)]
-                if space.key(values) not in tried:
-                    return Trial(values=space.canonical(values), told=told)
+                # What a method that learns proposes again is where it is best: then the nearest one is tried.
+                for numbers in _around(asked, found) if learns else [found]:
+                    values = [
+                        value_meant(axis, value) for axis, value in zip(space.axes, numbers, strict=True)
+                    ]
+                    if space.key(values) not in tried:
+                        return Trial(values=space.canonical(values), told=told)
         untried = _untried(space, tried, [search.seed, len(trials)])
         return None if untried is None else Trial(values=space.canonical(untried), told=told)
 
@@ -170,6 +178,25 @@ class Sampler:
         return f"its process ended ({code})"
 
 
+def _around(asked: Mapping[str, Any], found: Sequence[float]) -> Iterator[list[float]]:
+    """Yield a suggestion and then the settings around it, the nearest first, equally near ones by seed."""
+    rng = np.random.default_rng([asked["seed"], asked["number"], _MOST_AROUND])
+    ahead, seen = deque([tuple(found)]), {tuple(found)}
+    while ahead and len(seen) < _MOST_AROUND:
+        setting = ahead.popleft()
+        yield list(setting)
+        near: list[tuple[float, ...]] = []
+        for place, (axis, value) in enumerate(zip(asked["axes"], setting, strict=True)):
+            if axis["kind"] == "real":
+                continue
+            low, high = axis["low"], axis["high"]
+            steps = range(low, high + 1) if axis["kind"] == "choice" else (value - 1, value + 1)
+            near += [(*setting[:place], one, *setting[place + 1 :]) for one in steps if low <= one <= high]
+        fresh = [one for one in near if one not in seen]
+        seen.update(fresh)
+        ahead += [fresh[place] for place in rng.permutation(len(fresh))]
+
+
 def _untried(space: SearchSpace, tried: set[str], seed: Sequence[int]) -> list[Any] | None:
     """Return an untried setting of a space that has an end, at random by the seed; None without one."""
     if space.size is None:
@@ -180,7 +207,7 @@ def _untried(space: SearchSpace, tried: set[str], seed: Sequence[int]) -> list[A
         else range(math.ceil(axis.ends[0]), math.floor(axis.ends[1]) + 1)
         for axis in space.axes
     ]
-    rng = np.random.default_rng([*seed, _TRIES + 1])
+    rng = np.random.default_rng([*seed, sum(_TRIES[-1])])
     at, stride = int(rng.integers(space.size)), int(rng.integers(1, max(2, space.size)))
     while math.gcd(stride, space.size) > 1:
         stride += 1

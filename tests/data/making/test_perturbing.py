@@ -217,6 +217,10 @@ def test_noise_has_its_sigma_and_differs_between_frames() -> None:
     first, second = (shot(grey, index=k, noise=10).astype(float) for k in (0, 1))
     assert (first.mean(), first.std()) == (pytest.approx(128, abs=0.2), pytest.approx(10, rel=0.02))
     assert np.corrcoef(first.ravel(), second.ravel())[0, 1] == pytest.approx(0, abs=0.02)
+    # White within an image, too, also where one piece of the row of numbers ends and another begins.
+    assert np.corrcoef(first[:, 1:].ravel(), first[:, :-1].ravel())[0, 1] == pytest.approx(0, abs=0.02)
+    assert np.corrcoef(first[1:].ravel(), first[:-1].ravel())[0, 1] == pytest.approx(0, abs=0.02)
+    assert first.tolist() == shot(grey, noise=10).tolist()
     deep = shot(np.full((200, 300), 2**15, dtype=np.uint16), noise=10)
     assert deep.std() == pytest.approx(10 * 65535 / 255, rel=0.02)
 

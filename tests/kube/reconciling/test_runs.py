@@ -87,6 +87,18 @@ async def test_an_algorithm_without_an_image_cannot_run(lab: Lab) -> None:
     assert "names no image" in status["message"]
 
 
+async def test_a_program_without_an_image_prepares_nothing(fake_lab: Lab) -> None:
+    body = dataset("masked")
+    body["spec"]["preparations"] = {"here": {"local": {"adapter": "mask.py"}}}
+    fake_lab.apply(body)
+    async with fake_lab.operator() as op:
+        fake_lab.apply(run(datasetRef={"name": "masked"}, input={"preparedBy": "here"}))
+        status = await status_of(op, Kind.MAPPING_RUN, "one", is_over)
+    assert status["reason"] == "PreparationFailed"
+    expected = "the preparation 'here' of dataset 'masked' names no image, which a cluster needs"
+    assert status["message"] == expected
+
+
 async def test_a_run_whose_pod_is_refused_fails_with_the_reason(lab: Lab) -> None:
     limits = {"limits": [{"type": "Container", "max": {"cpu": "1500m"}}]}
     lab.apply(manifest("LimitRange", "small", **limits) | {"apiVersion": "v1"})

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 from slamhive.analysis.robustness import robustness
 from slamhive.dashboard.answering.encoding import Body, plain
 from slamhive.dashboard.answers.columns import heading
-from slamhive.tables.queries import select
+from slamhive.model.errors import InputError
+from slamhive.tables.queries import QueryError, select
 
 if TYPE_CHECKING:
     from slamhive.analysis.robustness import RobustnessWish
@@ -22,7 +23,10 @@ RESERVED = ("axes", "failing", "quantile", "format")
 def card_of(snapshot: Snapshot, pairs: Pairs, wish: RobustnessWish) -> Body:
     """Return the robustness card of the runs that are meant."""
     chosen = select(snapshot.frame, pairs, RESERVED)
-    card = robustness(chosen.frame, wish)
+    try:
+        card = robustness(chosen.frame, wish)
+    except InputError as error:
+        raise QueryError(str(error), error.argument or None) from None
     content = {
         "revision": snapshot.revision,
         "rows": len(chosen.frame),

@@ -102,7 +102,7 @@ async def robustness(
         request,
         service.threshold_searches,
         lambda data, searches: card_of(
-            data, filters, RobustnessWish(names, failing or None, quantile, searches)
+            data, filters, RobustnessWish(names, failing or None, quantile, searches, "axes")
         ),
     )
 

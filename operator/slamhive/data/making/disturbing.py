@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     Ways = npt.NDArray[np.float64]
 
 _BYTE = 255
-_VALUES, _PIECE = 2**22, 2**18
+_VALUES, _PIECE = 2**20, 2**16
 """Numbers of noise that images take pieces of, and the length of a piece."""
 
 STEP_SECONDS = 1.0

@@ -53,6 +53,7 @@ _IMAGES = frozenset({SensorType.CAMERA, SensorType.DEPTH_CAMERA})
 _SHOWN = _IMAGES | {SensorType.LIDAR, SensorType.POINT_CLOUD}
 _RED_FIRST = ("rgb8", "rgba8", "rgb16")
 _SWAPPED = {3: [2, 1, 0], 4: [2, 1, 0, 3]}
+_MOST_TOLD = 1 << 20
 _MAY_CHANGE = ("camera", "T_body_sensor")
 
 
@@ -80,27 +81,40 @@ def frame_file(number: int, ending: str) -> str:
     return f"{number:06d}{ending}"
 
 
-def show_frames(variant: Variant, folder: Path, progress: Callable[[float], None]) -> dict[Role, ShownFrames]:
-    """Write the frames of a variant, which is a bag, as files.
+def shown_frames(variant: Variant) -> dict[Role, ShownFrames]:
+    """Return the frames of a variant, which is a bag, that are written as files.
+
+    Raises:
+        DataError: A message can't be read.
+    """
+    found = {}
+    with Recording([variant.path], RecordingFormat(variant.format)) as recording:
+        for role, view in variant.sensors.items():
+            if view.type in _SHOWN:
+                frame = _frame(recording.first(view.topic), f"{view.topic} in {recording.label}")
+                found[role] = ShownFrames(view, recording.topics[view.topic].count, _ending(frame))
+    return found
+
+
+def show_frames(
+    variant: Variant, shown: Mapping[Role, ShownFrames], folder: Path, progress: Callable[[float], None]
+) -> None:
+    """Write the frames of a variant as files.
 
     Args:
         variant: The variant.
+        shown: What `shown_frames` says of it.
         folder: Where to; there is nothing in it.
         progress: Called with the share done, 0 to 1.
-
-    Returns:
-        What was written, by role.
 
     Raises:
         DataError: A message can't be read.
         OSError: The disk refuses.
     """
-    views = {role: view for role, view in variant.sensors.items() if view.type in _SHOWN}
-    by_topic = {view.topic: role for role, view in views.items()}
+    by_topic = {one.view.topic: role for role, one in shown.items()}
     told = {str(role): view.as_json() for role, view in variant.sensors.items()}
     (folder / SENSORS).write_text(yaml.safe_dump({"sensors": told}, sort_keys=False), encoding="utf-8")
-    found: dict[Role, ShownFrames] = {}
-    seen = dict.fromkeys(views, 0)
+    seen = dict.fromkeys(shown, 0)
     with Recording([variant.path], RecordingFormat(variant.format)) as recording, Workers() as workers:
         for topic, scan in recording.scan(list(by_topic)).items():
             own = folder / by_topic[topic]
@@ -113,11 +127,9 @@ def show_frames(variant: Variant, folder: Path, progress: Callable[[float], None
             seen[role] += 1
             progress(done / total)
             frame = _frame(recording.decode(raw, connection.msgtype), where)
-            ending = ".png" if frame.dtype in (np.uint8, np.uint16) else ".npy"
-            if found.setdefault(role, ShownFrames(views[role], 0, ending)).ending != ending:
+            if _ending(frame) != shown[role].ending:
                 raise DataError(f"{where}: images change their type after {number} of them")
-            workers.later(partial(_write, folder / role / frame_file(number, ending), frame))
-    return {role: replace(shown, count=seen[role]) for role, shown in found.items()}
+            workers.later(partial(_write, folder / role / frame_file(number, shown[role].ending), frame))
 
 
 def take_frames(  # noqa: PLR0917 - progress comes last everywhere
@@ -193,6 +205,10 @@ def _frame(message: Any, where: str) -> Array:
     return compressed_pixels(message, where) if hasattr(message, "format") else cloud_points(message, where)
 
 
+def _ending(frame: Array) -> str:
+    return ".png" if frame.dtype in (np.uint8, np.uint16) else ".npy"
+
+
 def _write(path: Path, frame: Array) -> None:
     if path.suffix == ".npy":
         with path.open("wb") as file:
@@ -217,6 +233,8 @@ def _taken(
     Raises:
         DataError: Something is missing, or is there that isn't asked for.
     """
+    if folder.is_symlink() or not folder.is_dir():
+        raise DataError(f"left no folder {folder.name!r}")
     expected = {str(role): one for role, one in shown.items()}
     for role, given in gives.items():
         if given.follows in shown:
@@ -266,12 +284,20 @@ def _sensors(variant: Variant, gives: Mapping[Role, GivenSensor], path: Path) ->
             found[role] = _given(role, given, found[given.follows])
     if not path.exists():
         return found
-    if path.is_symlink() or not path.is_file():
-        raise DataError(f"wrote {SENSORS}, which is no file")
+    if path.is_symlink() or not path.is_file() or path.stat().st_size > _MOST_TOLD:
+        raise DataError(f"wrote {SENSORS}, which is no file of at most {_MOST_TOLD >> 20} MiB")
     try:
         told = yaml.safe_load(path.read_text(encoding="utf-8"))["sensors"]
         items = {str(name): dict(body) for name, body in told.items()}
-    except (yaml.YAMLError, UnicodeDecodeError, TypeError, KeyError, AttributeError, ValueError):
+    except (
+        yaml.YAMLError,
+        UnicodeDecodeError,
+        TypeError,
+        KeyError,
+        AttributeError,
+        ValueError,
+        RecursionError,
+    ):
         raise DataError(
             f"wrote {SENSORS} that can't be read; expected 'sensors:' with a mapping by role"
         ) from None
@@ -343,10 +369,11 @@ def _read(files: _Taken, number: int) -> tuple[Array, str]:
         raise DataError(f"wrote {name}, which is no file")
     try:
         if files.ending == ".npy":
-            return np.load(path, allow_pickle=False), name
+            with path.open("rb") as file:
+                return np.lib.format.read_array(file, allow_pickle=False), name
         data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
         pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    except (ValueError, EOFError, cv2.error):
+    except (ValueError, EOFError, MemoryError, cv2.error):
         pixels = None
     if pixels is None:
         raise DataError(f"wrote {name}, which can't be read as {files.ending[1:].upper()}")

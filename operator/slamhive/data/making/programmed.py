@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 from slamhive.data.files.once import make_once
-from slamhive.data.making.frames import show_frames, take_frames
+from slamhive.data.making.frames import show_frames, shown_frames, take_frames
 from slamhive.data.making.preparation import prepare, recording_state, variant_folder, variant_key
 from slamhive.data.recordings.entries import DatasetEntry
 from slamhive.model.canonical import digest
@@ -146,6 +146,33 @@ def prepare_by_program(  # noqa: PLR0917 - as `prepare`
     )
 
 
+def show_for_program(  # noqa: PLR0917 - as `prepare_by_program`
+    entry: DatasetEntry,
+    roles: Sequence[Role],
+    options: InputOptions,
+    cache: Path,
+    program: PreparingProgram,
+    folder: Path,
+    progress: Callable[[float], None],
+    *,
+    topics: Sequence[str] = (),
+) -> None:
+    """Lay out what a program is given, where `prepare_by_program` follows in another process.
+
+    Raises:
+        InputError: The options don't fit the dataset.
+        DataError: The recording can't be used.
+        SystemFault: The disk refuses.
+    """
+    wanted = _wanted(roles, options, program)
+    form = DataFormat(entry.dataset.spec.recording.format)
+    plain = prepare(
+        *(entry, wanted.recorded, wanted.before, (form,), cache), _share(progress, 0.0, 0.5), topics=topics
+    )
+    with plain.in_use():
+        show_frames(plain, shown_frames(plain), folder, _share(progress, 0.5, 1.0))
+
+
 def folder_by_program(  # noqa: PLR0917 - as `prepare_by_program`
     entry: DatasetEntry,
     roles: Sequence[Role],
@@ -194,9 +221,10 @@ def _make(
 def _make_in(
     work: Path, plain: Variant, maker: FrameMaker, aside: Path, progress: Callable[[float], None]
 ) -> None:
-    given = work / "in"
-    given.mkdir()
-    shown = show_frames(plain, given, _share(progress, 0.2, 0.4))
+    given, shown = work / "in", shown_frames(plain)
+    if not given.exists():  # in a pod, they are shown before the program starts
+        given.mkdir()
+        show_frames(plain, shown, given, _share(progress, 0.2, 0.4))
     out = maker.run(work, sum(one.count for one in shown.values()), _share(progress, 0.4, 0.8))
     name = FILE_NAMES[plain.format]
     gives = maker.program.given

@@ -64,12 +64,13 @@ def scan(
         Ranges of the rays from -180 degrees counterclockwise, m, shape (SCAN_RAYS,); infinite without return.
     """
     bearing = scan_bearings()
-    motion = trajectory.at(start + np.arange(SCAN_RAYS) / (SCAN_RAYS * SCAN_RATE))
+    times = start + np.arange(SCAN_RAYS) / (SCAN_RAYS * SCAN_RATE)
+    motion = trajectory.at(times)
     mounting = rig.MOUNTINGS["scan"]
     local = np.stack([np.cos(bearing), np.sin(bearing), np.zeros(SCAN_RAYS)], axis=1)
     directions = np.einsum("nij,nj->in", motion.rotation @ mounting[:3, :3], local)
     origins = (motion.position + motion.rotation @ mounting[:3, 3]).T
-    distance, _ = world.cast(origins.astype(np.float32), directions.astype(np.float32))
+    distance, _ = world.cast(origins.astype(np.float32), directions.astype(np.float32), times)
     noise = stream(spec.seed, "scan", index).standard_normal(SCAN_RAYS) * (_RANGE_NOISE * spec.noise)
     measured = distance + noise
     inside = (measured >= SCAN_LIMITS[0]) & (measured <= SCAN_LIMITS[1])

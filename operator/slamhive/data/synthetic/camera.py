@@ -95,5 +95,5 @@ class CameraModel:
     def _view(self, at: float) -> View:
         """Look from where the platform is; colour and depth of one instant share the work."""
         if self._last is None or self._last[0] != at:
-            self._last = at, self._renderer.view(self.pose(at))
+            self._last = at, self._renderer.view(self.pose(at), at)
         return self._last[1]

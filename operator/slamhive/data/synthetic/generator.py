@@ -17,9 +17,9 @@ from slamhive.data.synthetic import aiding, messages, rig
 from slamhive.data.synthetic.camera import CameraModel
 from slamhive.data.synthetic.inertial import sample_imu
 from slamhive.data.synthetic.lidar import LidarModel
+from slamhive.data.synthetic.scenes import build_scene
 from slamhive.data.synthetic.texture import build_atlas
 from slamhive.data.synthetic.trajectory import SyntheticMotion, quaternion_from_rotation
-from slamhive.data.synthetic.world import build_world
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -119,7 +119,7 @@ class _Scene:
     def __init__(self, spec: SyntheticRecording) -> None:
         self.spec = spec
         self.trajectory = SyntheticMotion(spec)
-        self.world = build_world(spec.seed)
+        self.world = build_scene(spec)
         self.sensors = rig.sensors(spec)
         self.maker = messages.MessageMaker(messages.typestore())
 

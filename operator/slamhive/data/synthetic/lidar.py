@@ -73,7 +73,8 @@ class LidarModel:
         beams = np.einsum("cij,crj->icr", rotation, self._beams).reshape(3, -1)
         origins = np.repeat(origin.T, limits.rings, axis=1)
         directions = beams.astype(np.float32)
-        distance, face = self._world.cast(origins.astype(np.float32), directions)
+        times = np.repeat(start + self.column_times, limits.rings)
+        distance, face = self._world.cast(origins.astype(np.float32), directions, times)
         rng = stream(self._spec.seed, "lidar", index)
         noise = rng.standard_normal(len(distance)) * (RANGE_NOISE * self._spec.noise)
         measured = distance + noise

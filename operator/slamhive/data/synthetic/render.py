@@ -46,12 +46,14 @@ class View:
         depth: `(height, width)`, along the optical axis, m.
         origin: `(3,)`, the camera's centre in the world.
         rotation: `(3, 3)`, camera to world.
+        at: When, s since the start of the recording.
     """
 
     face: Ints
     depth: Floats
     origin: Floats
     rotation: Floats
+    at: float = 0.0
 
 
 class WorldRenderer:
@@ -67,6 +69,12 @@ class WorldRenderer:
         x, y = (self._rays[i].reshape(lens.height, lens.width) for i in (0, 1))
         self._columns = x.min(axis=0) - np.float32(1e-4), x.max(axis=0) + np.float32(1e-4)
         self._rows = y.min(axis=1) - np.float32(1e-4), y.max(axis=1) + np.float32(1e-4)
+        self._world = world
+        self._place(0.0)
+
+    def _place(self, at: float) -> None:
+        """Put the faces where they are at an instant."""
+        self._at, world = at, self._world.at(at)
         self._bounds = np.stack([world.lower, world.upper], axis=2)
         faces = np.arange(6 * len(world.lower))
         box, axis, side = faces // 6, faces % 6 // 2, faces % 2
@@ -80,12 +88,14 @@ class WorldRenderer:
             self._corners[faces, i, _U[axis]] = (self._low, self._high)[u][0]
             self._corners[faces, i, _V[axis]] = (self._low, self._high)[v][1]
 
-    def view(self, pose: Array) -> View:
+    def view(self, pose: Array, at: float = 0.0) -> View:
         """Find what each pixel's centre sees.
 
         Args:
             pose: `(4, 4)`, T_world_camera.
+            at: When, s since the start of the recording.
         """
+        self._follow(at)
         shape = (self._lens.height, self._lens.width)
         rotation, origin = pose[:3, :3].astype(np.float32), pose[:3, 3].astype(np.float32)
         directions = away_from_zero(rotation @ self._rays).reshape(3, *shape)
@@ -100,10 +110,11 @@ class WorldRenderer:
                 seen &= (where >= self._low[i, number] - SEAM) & (where <= self._high[i, number] + SEAM)
             np.copyto(depth[window], reach, where=seen)
             np.copyto(face[window], np.int32(number), where=seen)
-        return View(face, depth, origin, rotation)
+        return View(face, depth, origin, rotation, at)
 
     def colors(self, view: View) -> Floats:
         """Colour a view: `(height, width)` or `(height, width, 3)`, 0 to 255."""
+        self._follow(view.at)
         directions = view.rotation @ self._rays
         face = view.face.reshape(-1)
         flat = self._shade(face, view.depth.reshape(-1), directions, view.origin)
@@ -111,6 +122,10 @@ class WorldRenderer:
         if edge.size:
             flat[edge] = self._supersample(view, edge)
         return flat.reshape(*view.face.shape, *flat.shape[1:])
+
+    def _follow(self, at: float) -> None:
+        if self._world.walkers is not None and at != self._at:
+            self._place(at)
 
     def _room(self, origin: Floats, inverse: Floats) -> tuple[Floats, Ints]:
         """Meet the room's own six faces, of which the nearest in front is seen."""

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamhive.data.synthetic.spectra import SPECTRA
 from slamhive.data.synthetic.streams import stream
-from slamhive.model.synthetic import REST_SECONDS
+from slamhive.model.synthetic import REST_SECONDS, SyntheticScene
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 SEMI_AXES = (5.9, 3.6)
 """Semi-axes of the lap's ellipse, m."""
+CORRIDOR_AXES = (7.5, 0.5)
+"""The same in a corridor, of the same length."""
 HEIGHT = 1.3
 """Mean height of the body above the floor, m."""
 RAMP_SECONDS = 2.0
@@ -88,12 +91,19 @@ class Vibration:
     def __init__(self, spec: SyntheticRecording, asked: SyntheticVibration) -> None:
         self._moving, self._ramp = spec.moving_seconds, _ramp_seconds(spec)
         rng = stream(spec.seed, "vibration")
+        deviation = np.repeat([asked.amplitude_metres, np.radians(asked.amplitude_degrees)], 3)
+        if asked.spectrum is not None:
+            lines = np.array(SPECTRA[asked.spectrum])
+            # Carriers differ, and harmonics of one remain what they are.
+            self._frequency = 2.0 * np.pi * lines[..., 0] * rng.uniform(0.95, 1.05)
+            self._phase = rng.uniform(0.0, 2.0 * np.pi, lines.shape[:2])
+            self._amplitude = lines[..., 1] * deviation[:, None] * np.sqrt(2.0)
+            return
         shape = (6, self.SINES)
         edges = np.linspace(asked.min_frequency, asked.max_frequency, self.SINES + 1)
         # One frequency in each part of the band, so that none of the six coordinates has all at one end.
         self._frequency = 2.0 * np.pi * rng.uniform(edges[:-1], edges[1:], shape)
         self._phase = rng.uniform(0.0, 2.0 * np.pi, shape)
-        deviation = np.repeat([asked.amplitude_metres, np.radians(asked.amplitude_degrees)], 3)
         # A sine has 1/√2 of its amplitude as standard deviation.
         self._amplitude = (deviation * np.sqrt(2.0 / self.SINES))[:, None]
 
@@ -255,9 +265,10 @@ def _channels(spec: SyntheticRecording) -> list[Channel]:
 
     lap = 2.0 * np.pi * laps
     degree = np.pi / 180.0
+    axes = CORRIDOR_AXES if spec.scene is SyntheticScene.CORRIDOR else SEMI_AXES
     return [
-        channel(0.0, 0.0, (SEMI_AXES[0], lap, np.pi / 2), (0.10 * m, cycles(4.3), phases[0])),
-        channel(0.0, 0.0, (SEMI_AXES[1], lap, 0.0), (0.10 * m, cycles(5.2), phases[1])),
+        channel(0.0, 0.0, (axes[0], lap, np.pi / 2), (0.10 * m, cycles(4.3), phases[0])),
+        channel(0.0, 0.0, (axes[1], lap, 0.0), (0.10 * m, cycles(5.2), phases[1])),
         channel(HEIGHT, 0.0, (0.22 * m, cycles(2.0), phases[2]), (0.05 * m, cycles(7.3), phases[3])),
         channel(
             0.0, 0.0, (3.5 * degree * m, cycles(4.0), phases[4]), (1.5 * degree * m, cycles(9.2), phases[5])

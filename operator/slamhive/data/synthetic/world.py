@@ -28,23 +28,64 @@ TINY = np.float32(1e-9)
 
 
 @dataclass(frozen=True)
+class Walkers:
+    """People on ellipses around the world's origin, or to and fro on a line.
+
+    Attributes:
+        axes: `(k, 2)`, semi-axes along x and y, m.
+        lane: `(k,)`, what is added to y, m.
+        phase: `(k,)`, where they start, rad.
+        rate: `(k,)`, rad/s.
+    """
+
+    axes: Array
+    lane: Array
+    phase: Array
+    rate: Array
+
+    def places(self, t: Array) -> Array:
+        """Give where they are, `(k, 2, n)`, at `(n,)` instants, s since the start of the recording."""
+        angle = self.phase[:, None] + self.rate[:, None] * t
+        x = self.axes[:, :1] * np.cos(angle)
+        return np.stack([x, self.axes[:, 1:] * np.sin(angle) + self.lane[:, None]], axis=1)
+
+    def moved(self, t: Array) -> Array:
+        """Give how far they are from where they started, `(k, 3, n)`, m."""
+        way = self.places(t) - self.places(np.zeros(1))
+        return np.concatenate([way, np.zeros((len(way), 1, way.shape[2]))], axis=1)
+
+
+@dataclass(frozen=True)
 class World:
     """Box 0 is the room, seen from inside; the others stand, hang or are mounted in it.
 
     Attributes:
         lower: `(n, 3)`, least corner of each box, m.
         upper: `(n, 3)`, greatest corner of each box, m.
+        walkers: The last boxes are people, at the start; None: nothing moves.
     """
 
     lower: Array
     upper: Array
+    walkers: Walkers | None = None
 
-    def cast(self, origins: Floats, directions: Floats) -> tuple[Floats, npt.NDArray[np.int32]]:
+    def at(self, t: float) -> World:
+        """Give the world as it stands at an instant, s since the start of the recording."""
+        if self.walkers is None:
+            return self
+        way = self.walkers.moved(np.array([t]))[:, :, 0]
+        shift = np.concatenate([np.zeros((len(self.lower) - len(way), 3)), way])
+        return World(self.lower + shift, self.upper + shift)
+
+    def cast(
+        self, origins: Floats, directions: Floats, times: Array | None = None
+    ) -> tuple[Floats, npt.NDArray[np.int32]]:
         """Find what each ray meets first.
 
         Args:
             origins: `(3, n)` or `(3, 1)`, inside the room and outside the boxes, m.
             directions: `(3, n)`, of any length but zero.
+            times: `(n,)`, when each is cast, s since the start of the recording; None: at the start.
 
         Returns:
             `(n,)` distance in units of the direction's length, and `(n,)` face, which is
@@ -54,13 +95,18 @@ class World:
         low, high = self.lower.astype(np.float32), self.upper.astype(np.float32)
         start = -origins * inverse
         best, face = _leave(start, inverse, low[0], high[0])
+        moving = self.walkers.moved(times) if self.walkers is not None and times is not None else ()
+        still = len(low) - len(moving)
         for box in range(1, len(low)):
-            one, two = low[box, :, None] * inverse + start, high[box, :, None] * inverse + start
+            shift = moving[box - still].astype(np.float32) if box >= still else np.float32(0.0)
+            least, most = low[box, :, None] + shift, high[box, :, None] + shift
+            one, two = least * inverse + start, most * inverse + start
             near, far = np.minimum(one, two).max(axis=0), np.maximum(one, two).min(axis=0)
             hit = np.flatnonzero((near <= far) & (near > 0.0) & (near < best))
             if hit.size:
                 best[hit] = near[hit]
-                face[hit] = 6 * box + _entered(start[:, hit], inverse[:, hit], low[box], high[box])
+                sides = (side if side.shape[1] == 1 else side[:, hit] for side in (least, most))
+                face[hit] = 6 * box + _entered(start[:, hit], inverse[:, hit], *sides)
         return best, face
 
     def distance(self, points: Array) -> Array:
@@ -96,7 +142,7 @@ def _leave(start: Floats, inverse: Floats, low: Floats, high: Floats) -> tuple[F
 
 def _entered(start: Floats, inverse: Floats, low: Floats, high: Floats) -> npt.NDArray[np.int32]:
     """Find by which of a box's six faces rays enter it."""
-    enter = np.minimum(low[:, None] * inverse + start, high[:, None] * inverse + start)
+    enter = np.minimum(low * inverse + start, high * inverse + start)
     axis = np.argmax(enter, axis=0)
     upper = inverse[axis, np.arange(enter.shape[1])] < 0.0
     return np.asarray(2 * axis + upper, dtype=np.int32)

@@ -29,6 +29,7 @@ class Label(Choice):
     ALGORITHM = "slamhive.io/algorithm"
     DATASET = "slamhive.io/dataset"
     VARIANT = "slamhive.io/variant"
+    PREPARATION = "slamhive.io/preparation"
     EVALUATION = "slamhive.io/evaluation"
     ATTEMPT = "slamhive.io/attempt"
 

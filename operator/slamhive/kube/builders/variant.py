@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from slamhive.contract.environment import THREAD_VARIABLES
 from slamhive.data.files.https import CERTIFICATES
 from slamhive.data.recordings.version import VERSION
 from slamhive.jobs.requests import FetchedAsset, PrepareRequest
@@ -18,14 +19,18 @@ from slamhive.kube.builders.common import (
     label,
     mount,
     pod_spec,
+    scratch,
     variables,
 )
 from slamhive.kube.builders.request import KEPT_SECONDS, REQUEST, TMP, module, request_job
-from slamhive.model.base import ObjectMeta, seconds
+from slamhive.model.base import ObjectMeta, quantity, seconds
 from slamhive.model.canonical import digest, normalize
 from slamhive.model.catalogue import FOLDERS
+from slamhive.model.errors import InputError
 from slamhive.model.run import InputOptions, essential
 from slamhive.model.sensors import SensorMode
+from slamhive.model.variant import program_digest
+from slamhive.plan import whole_cores
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -35,12 +40,15 @@ if TYPE_CHECKING:
     from slamhive.model.dataset import Dataset
     from slamhive.model.formats import DataFormat
     from slamhive.model.sensors import Role
+    from slamhive.model.variant import PreparingProgram
 
-PREPARE = "prepare"
-_PROSE = ("description", "homepage", "license", "attributes")
-_MATTERS = ("frameRate", "resolution", "start", "duration", "lidar", "perturb", "remap")
+PREPARE, SHOW, PROGRAM = "prepare", "show", "program"
+_APART = ("description", "homepage", "license", "attributes", "preparations")
+_MATTERS = ("frameRate", "resolution", "start", "duration", "lidar", "perturb", "preparedBy", "remap")
+_WORK, _SEEN, _FOLDERS = "/slamhive/work", "/slamhive", ("in", "own")
+"""Folders of a program as we see them and as it sees them, as on a workstation."""
 _HASH_LENGTH = 20
-_SCRATCH = "2Gi"
+_SCRATCH, _LOGS = "2Gi", "4Gi"
 _CATALOGUE, _CERTIFICATES = "/slamhive/catalogue", "/slamhive/certificates"
 
 
@@ -66,7 +74,7 @@ def variant_name(  # noqa: PLR0917 - all that makes a variant another
     parts = {
         "dataset": {
             "name": dataset.name,
-            "spec": {key: declared[key] for key in declared if key not in _PROSE},
+            "spec": {key: declared[key] for key in declared if key not in _APART},
         },
         "roles": [str(role) for role in roles],
         "input": _input(options),
@@ -76,6 +84,10 @@ def variant_name(  # noqa: PLR0917 - all that makes a variant another
     }
     if topics:
         parts["topics"] = sorted(topics)
+    if options.program is not None:
+        program = dataset.spec.preparation(options.program)
+        gives = {role: given.as_json() for role, given in program.given.items()}
+        parts["program"] = {"digest": program_digest(program), "gives": gives}
     return "v-" + digest(normalize(parts))[:_HASH_LENGTH]
 
 
@@ -156,6 +168,8 @@ def variant_job(
         InputError: the request doesn't fit into an object.
     """
     wanted = settings.preparation
+    options = InputOptions.model_validate(spec["input"])
+    program = dataset.spec.preparation(options.program) if options.program else None
     body = container(
         PREPARE,
         settings.image,
@@ -168,20 +182,65 @@ def variant_job(
             TMP,
             *(mount(name, path, read_only=True) for name, path, _ in _sources(wanted)),
         ],
-        resources=equal_resources(wanted.cpu, wanted.memory, logs="4Gi"),
+        resources=equal_resources(wanted.cpu, wanted.memory, logs=_LOGS),
     )
+    before: list[Manifest] = []
+    volumes: list[Manifest] = []
+    labels: dict[str, str] = {}
+    if program is not None:
+        before = [_showing(body), _program(program, settings)]
+        body["volumeMounts"] += [mount(name, f"{_WORK}/{name}", read_only=True) for name in _FOLDERS]
+        # The kubelet counts all folders that go with a pod against what its containers may take together.
+        room = quantity(_LOGS) + len(_FOLDERS) * quantity(program.disk)
+        body["resources"] = equal_resources(wanted.cpu, wanted.memory, logs=str(math.ceil(room)))
+        volumes = [scratch(name, program.disk) for name in _FOLDERS]
+        labels = {label("preparation"): str(options.program)}
     return request_job(
         namespace,
         variant_job_name(name),
         pod_spec(settings),
         role=PREPARE,
-        containers=[body],
+        containers=[*before, body],
         claims=[claim("data", settings.volumes.data.claim)],
-        deadline_seconds=math.ceil(seconds(wanted.timeout)),
+        deadline_seconds=math.ceil(seconds(wanted.timeout) + (seconds(program.timeout) if program else 0)),
         request=variant_request(dataset, algorithm, spec).as_json(),
-        volumes=[config_map(name, source) for name, _, source in _sources(wanted)],
+        volumes=[*(config_map(name, source) for name, _, source in _sources(wanted)), *volumes],
         scratch_size=_SCRATCH,
-        labels={label("variant"): name, label("dataset"): dataset.name},
+        labels={label("variant"): name, label("dataset"): dataset.name, **labels},
         owners=owners,
         ttl_seconds=None if owners else KEPT_SECONDS,
     )
+
+
+def _showing(body: Manifest) -> Manifest:
+    """Return the container that lays out what a program is given: ours, a step earlier."""
+    mounts = [*body["volumeMounts"], *(mount(name, f"{_WORK}/{name}") for name in _FOLDERS)]
+    return body | {"name": SHOW, "command": module("prepare", "--show"), "volumeMounts": mounts}
+
+
+def _program(program: PreparingProgram, settings: Settings) -> Manifest:
+    """Return the container of a program of the Dataset, which sees its frames and nothing else.
+
+    Raises:
+        InputError: it has no image.
+    """
+    if program.image is None:
+        raise InputError("input.preparedBy: the program names no image, which a cluster needs")
+    values = {"SLAMHIVE_IN": f"{_SEEN}/in", "SLAMHIVE_OUT": f"{_SEEN}/own/out"}
+    values |= {"HOME": f"{_SEEN}/own/home", "TMPDIR": f"{_SEEN}/own/tmp", "LANG": "C.UTF-8"}
+    cpu = settings.preparation.cpu
+    values |= dict.fromkeys(THREAD_VARIABLES, str(whole_cores(cpu)))
+    body = container(
+        PROGRAM,
+        program.image,
+        settings.image_pull_policy,
+        command=program.command,
+        env=variables(values),
+        mounts=[
+            mount("in", f"{_SEEN}/in", read_only=True),
+            mount("own", f"{_SEEN}/own"),
+            mount("own", "/tmp", subPath="tmp"),  # noqa: S108
+        ],
+        resources=equal_resources(cpu, program.memory, logs=_LOGS),
+    )
+    return body | {"workingDir": _SEEN}

@@ -166,6 +166,7 @@ class ReusableRuns:
             description["datasetSha256"],
             str(description["preparationVersion"]),
             image,
+            description.get("preparedBy"),
         )
 
     def _image(self, cluster: Cluster, facts: RunFacts) -> str | None:

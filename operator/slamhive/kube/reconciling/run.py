@@ -61,8 +61,10 @@ from slamhive.kube.reports import read_report
 from slamhive.kube.status import condition, moment, phase_of, run_state, since, state_fields
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.results import Phase, Reason
+from slamhive.model.run import InputOptions
 from slamhive.model.sensors import SensorMode
 from slamhive.model.status import MappingRunStatus
+from slamhive.model.variant import program_title
 from slamhive.plan import option_problems, resolve, spec_hash
 
 if TYPE_CHECKING:
@@ -150,9 +152,8 @@ class RunReconciler:
         except InputError as error:
             await self._recorder.refuse(cluster, run, state, Reason.INVALID_PARAMETERS, str(error))
             return None
-        if not facts.algorithm.spec.image:
-            message = f"Algorithm {facts.algorithm.name!r} names no image, which a cluster needs"
-            await self._recorder.refuse(cluster, run, state, Reason.ALGORITHM_UNAVAILABLE, message)
+        if (lack := _lacks_image(facts)) is not None:
+            await self._recorder.refuse(cluster, run, state, *lack)
             return None
         return await self._run_to_end(cluster, facts, state)
 
@@ -396,6 +397,18 @@ def _insist_on_effects(spec: dict[str, Any], algorithm: Algorithm, dataset: Data
     problems = option_problems(spec["input"], dataset, mode)
     if problems:
         raise InputError("\n".join(f"spec.{problem}" for problem in problems))
+
+
+def _lacks_image(facts: RunFacts) -> tuple[Reason, str] | None:
+    """Return what a run is refused for where a program of it has no image; None where all have one."""
+    if not facts.algorithm.spec.image:
+        message = f"Algorithm {facts.algorithm.name!r} names no image, which a cluster needs"
+        return Reason.ALGORITHM_UNAVAILABLE, message
+    name = InputOptions.model_validate(facts.spec["input"]).program
+    if name is None or facts.dataset.spec.preparation(name).image:
+        return None
+    title = program_title(name, facts.dataset.name)
+    return Reason.PREPARATION_FAILED, f"{title} names no image, which a cluster needs"
 
 
 def _needing(run: dict[str, Any]) -> dict[str, Any]:

@@ -141,6 +141,7 @@ def provenance(
         spec_hash=facts.spec_hash,
         algorithm_hash=algorithm_hash,
         preparation=None if preparation is None else str(preparation),
+        prepared_by=known.get("preparedBy"),
         environment=image_digest(attempted.image_id) if attempted.image_id else None,
         image_id=attempted.image_id,
         dataset_sha256=known.get("datasetSha256"),

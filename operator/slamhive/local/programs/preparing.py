@@ -34,6 +34,7 @@ from slamhive.model.base import ObjectMeta, quantity, seconds
 from slamhive.model.errors import DataError, InputError, SystemFault
 from slamhive.model.results import Reason
 from slamhive.model.sensors import SensorMode
+from slamhive.model.variant import program_title
 from slamhive.monitor import SupervisorSpec, end_orphans
 
 if TYPE_CHECKING:
@@ -98,13 +99,13 @@ class Preparer:
         try:
             digest = _digest(programs, entry)
         except (Unavailable, ImageMissing) as error:
-            raise InputError(f"{_called(name, place.dataset.name)} can't run here: {error}") from None
+            raise InputError(f"{program_title(name, place.dataset.name)} can't run here: {error}") from None
         return cls(home, programs, place.dataset.name, name, program, entry, digest, failed)
 
     @property
     def called(self) -> str:
         """Return what it is called in sentences."""
-        return _called(self.name, self.dataset)
+        return program_title(self.name, self.dataset)
 
     def work(self, key: str) -> Path:
         """Return an empty folder for it.
@@ -245,10 +246,6 @@ def _digest(programs: Programs, entry: AlgorithmEntry) -> str:
         return digest_of([*parts, *(ProgramPart(path.name, file_sha256(path)) for path in own)])
     except DataError as error:
         raise Unavailable(str(error)) from None
-
-
-def _called(name: str, dataset: str) -> str:
-    return f"the preparation {name!r} of dataset {dataset!r}"
 
 
 def _variables(work: str) -> dict[str, str]:

@@ -16,6 +16,13 @@ NANOSECONDS = 1_000_000_000
 POSE_TYPES = ("PoseStamped", "PoseWithCovarianceStamped", "Odometry", "Path", "TFMessage")
 """Names of the types of messages that poses can be taken from."""
 
+_AXES = ("x", "y", "z", "rx", "ry", "rz")
+_UPPER = [(row, column) for row in range(6) for column in range(row, 6)]
+COVARIANCE_NAMES = (
+    ",".join(("stamp", *(f"cov_{_AXES[row]}_{_AXES[column]}" for row, column in _UPPER))) + "\n"
+)
+"""First line of covariances.csv."""
+
 
 class Pose(NamedTuple):
     """A pose.
@@ -24,11 +31,14 @@ class Pose(NamedTuple):
         stamp: Of its header, ns.
         position: x, y, z in m.
         rotation: Unit quaternion x, y, z, w.
+        covariance: Of x, y, z and the rotation about the world's x, y, z, row by row, 36 numbers; none where
+            its message has none, or zeros alone.
     """
 
     stamp: int
     position: tuple[float, float, float]
     rotation: tuple[float, float, float, float]
+    covariance: tuple[float, ...] = ()
 
     @property
     def is_sound(self) -> bool:
@@ -38,10 +48,14 @@ class Pose(NamedTuple):
 
     def line(self, offset: int = 0) -> str:
         """Return it as a line in the TUM format, its stamp moved by an offset in ns."""
-        seconds, rest = divmod(self.stamp + offset, NANOSECONDS)
         norm = math.hypot(*self.rotation)
         numbers = (*self.position, *(value / norm for value in self.rotation))
-        return f"{seconds}.{rest:09d} " + " ".join(f"{value:.9f}" for value in numbers) + "\n"
+        return f"{seconds_text(self.stamp + offset)} " + " ".join(f"{value:.9f}" for value in numbers) + "\n"
+
+    def row(self, offset: int = 0) -> str:
+        """Return its covariance as a line below COVARIANCE_NAMES, its stamp moved by an offset in ns."""
+        upper = (self.covariance[6 * row + column] for row, column in _UPPER)
+        return f"{seconds_text(self.stamp + offset)}," + ",".join(f"{value:.9g}" for value in upper) + "\n"
 
 
 def reader(source: PoseSource) -> Callable[[Any], Iterator[Pose]]:
@@ -50,8 +64,8 @@ def reader(source: PoseSource) -> Callable[[Any], Iterator[Pose]]:
         return Chain(source.parent or "", source.frame or "").take
     return {
         "PoseStamped": lambda message: iter([_pose(message.header, message.pose)]),
-        "PoseWithCovarianceStamped": lambda message: iter([_pose(message.header, message.pose.pose)]),
-        "Odometry": lambda message: iter([_pose(message.header, message.pose.pose)]),
+        "PoseWithCovarianceStamped": lambda message: iter([_uncertain(message)]),
+        "Odometry": lambda message: iter([_uncertain(message)]),
         "Path": lambda message: (_pose(item.header, item.pose) for item in message.poses),
     }[source.type]
 
@@ -60,12 +74,23 @@ def _pose(header: Any, pose: Any) -> Pose:
     return _of(header, pose.position, pose.orientation)
 
 
+def _uncertain(message: Any) -> Pose:
+    covariance = tuple(map(float, message.pose.covariance))
+    return _pose(message.header, message.pose.pose)._replace(covariance=covariance if any(covariance) else ())
+
+
 def _of(header: Any, position: Any, rotation: Any) -> Pose:
     return Pose(
         _nanoseconds(header.stamp),
         (position.x, position.y, position.z),
         (rotation.x, rotation.y, rotation.z, rotation.w),
     )
+
+
+def seconds_text(nanoseconds: int) -> str:
+    """Return a time in ns as seconds with all digits."""
+    seconds, rest = divmod(nanoseconds, NANOSECONDS)
+    return f"{seconds}.{rest:09d}"
 
 
 def _nanoseconds(stamp: Any) -> int:

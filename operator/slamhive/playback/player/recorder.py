@@ -12,7 +12,7 @@ import stat
 import threading
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from slamhive.playback.player.poses import NANOSECONDS, Pose
+from slamhive.playback.player.poses import COVARIANCE_NAMES, NANOSECONDS, Pose, seconds_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -77,6 +77,12 @@ class Track:
         """Return the trajectory in the TUM format, each stamp with the pose it was first given."""
         with self._lock:
             return self._text(heard.pose for heard in self._first.values())
+
+    def covariances(self) -> str:
+        """Return the covariances of the poses that stamps had first, as CSV; empty where there are none."""
+        with self._lock:
+            known = sorted(heard.pose for heard in self._first.values() if heard.pose.covariance)
+        return "".join([COVARIANCE_NAMES, *(pose.row(self._offset) for pose in known)]) if known else ""
 
     def heard(self) -> list[Heard]:
         """Return for each stamp the pose that it was first given, in the order in which they came."""
@@ -201,7 +207,7 @@ class Recorder(Track):
         lines = ["stamp,frame_arrival,pose_arrival,latency\n"]
         offset = round(self._source.time_offset * NANOSECONDS)
         for stamp, frame, pose in self.latencies():
-            times = ",".join(_seconds(value) for value in (stamp + offset, frame, pose))
+            times = ",".join(seconds_text(value) for value in (stamp + offset, frame, pose))
             lines.append(f"{times},{(pose - frame) / NANOSECONDS:.6f}\n")
         return "".join(lines)
 
@@ -212,11 +218,6 @@ def quantile(values: Sequence[float], share: float) -> float:
     low = math.floor(place)
     high = min(low + 1, len(values) - 1)
     return values[low] + (values[high] - values[low]) * (place - low)
-
-
-def _seconds(nanoseconds: int) -> str:
-    seconds, rest = divmod(nanoseconds, NANOSECONDS)
-    return f"{seconds}.{rest:09d}"
 
 
 def merge_metrics(path: Path, values: dict[str, Any]) -> None:

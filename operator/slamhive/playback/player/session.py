@@ -165,6 +165,8 @@ class Session:
             if online != final:
                 write_atomically(output / "trajectory.online.txt", online)
             write_atomically(output / "latency.csv", recorder.table())
+            if covariances := recorder.covariances():
+                write_atomically(output / "covariances.csv", covariances)
         # That the player read the recording holds where nothing was played too.
         played = recorder.count or "playSeconds" in self._numbers
         merge_metrics(output / "metrics.json", self._figures() if played else self._numbers)

@@ -20,7 +20,9 @@ export function reachChart(axis, rows) {
   rows.forEach(({ name, cell }, at) => {
     if (!cell || cell.values.length === 0) return;
     const values = cell.values.map((one) => one.value * factor);
-    const [start, end] = cell.falls ? [values[values.length - 1], values[0]] : [values[0], values[values.length - 1]];
+    const [start, end] = cell.falls
+      ? [values[values.length - 1], values[0]]
+      : [values[0], values[values.length - 1]];
     /** @param {number} value */
     const point = (value) => ({ value: [value, at], name, cell });
     if (cell.status === 'never fails') {
@@ -52,7 +54,9 @@ export function reachChart(axis, rows) {
       tooltip: {
         trigger: 'item',
         formatter: ({ data }) =>
-          data?.cell ? `${clip(data.name, 80)}\n${clip(data.cell.sentence, 200)}\n${number(data.cell.runs)} runs` : '',
+          data?.cell
+            ? `${clip(data.name, 80)}\n${clip(data.cell.sentence, 200)}\n${number(data.cell.runs)} runs`
+            : '',
       },
       xAxis: { type: log ? 'log' : 'value', name: axis.label, nameGap: 26, min: least, max: most },
       yAxis: rowAxis(

@@ -167,8 +167,9 @@ export default function Studies() {
                     <${Choice}
                       label="Axis"
                       value=${set.axes ?? ''}
-                      options=${[['', 'those that were sought'], ...columnOptions(all, isSetting)]}
-                      error=${wrong('x')}
+                      options=${columnOptions(all, isSetting)}
+                      none="those that were sought"
+                      error=${wrong('axes')}
                       onChange=${(/** @type {string} */ axes) => change({ axes: axes || null })}
                     />
                   `
