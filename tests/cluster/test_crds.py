@@ -175,6 +175,28 @@ def test_identity_cannot_change(crds: Cluster, namespace: str, kind: str, path: 
     assert f"cannot change once created; create another {kind} with a new name" in text
 
 
+@pytest.mark.parametrize(
+    ("field", "value", "told"),
+    [
+        ("trials", 5, ""),
+        ("trials", 3, "spec.search.trials: Invalid value"),
+        ("seed", 1, "spec.search.seed: Invalid value"),
+        ("method", "Sobol", "spec.search.method: Invalid value"),
+        ("objectives", [{"metric": "rpe.rmse"}], "spec.search.objectives: Invalid value"),
+    ],
+)
+def test_of_a_search_trials_may_be_raised(
+    crds: Cluster, namespace: str, field: str, value: Any, told: str
+) -> None:
+    body = manifest("Sweep", "x")
+    body["spec"]["search"] = {"method": "TPE", "objectives": [{"metric": "ate.rmse"}], "trials": 4}
+    crds.apply(body, namespace=namespace)
+    body["spec"]["search"][field] = value
+    result = crds.run("apply", "--server-side", "-n", namespace, "-f", "-", stdin=json.dumps(body))
+    assert (result.returncode, told in result.stderr) == (int(bool(told)), True)
+    assert told or not result.stderr
+
+
 @pytest.mark.parametrize(("kind", "path", "value"), FREE)
 def test_the_rest_can_change(crds: Cluster, namespace: str, kind: str, path: str, value: Any) -> None:
     assert _edit(crds, namespace, kind, path, value) == (0, "")

@@ -30,6 +30,7 @@ from slamhive.engine.searching import (
     Score,
     SearchDecision,
     TrialStanding,
+    asked_next,
     best_of,
     decide_search,
 )
@@ -68,6 +69,7 @@ __all__ = [
     "ValueTally",
     "VariantState",
     "Verdict",
+    "asked_next",
     "best_of",
     "classify",
     "decide",

@@ -169,13 +169,25 @@ def decide_search(
             score = _score(search, layout, order, [runs.get(index) for index in indices])
             _compare(standing, score, compared, size=size, block=layout.block, keep=search.keep)
             standing.is_complete = size == layout.block and standing.dropped is None
-    decided = next((one.number for one in standings if not one.is_decided), len(standings))
-    may_ask = len(trials) < most and len(trials) - decided < search.at_a_time
-    told = max(0, len(trials) + 1 - search.at_a_time) if may_ask else None
-    is_over = not wanted and told is None and decided == len(trials)
+    told = asked_next(search, standings, most)
+    is_over = not wanted and told is None and all(one.is_decided for one in standings)
     wanted.sort(key=lambda index: (index // layout.block, places[index % layout.block]))
     message = _ended(standings) if is_over else ""
     return SearchDecision(tuple(wanted), (), told, tuple(standings), is_over, message)
+
+
+def asked_next(search: Search, standings: Sequence[TrialStanding], most: int) -> int | None:
+    """Return how many trials the sampler is told of for the next one; None where none is asked for now.
+
+    Args:
+        search: its settings.
+        standings: where each trial stands.
+        most: trials at most.
+    """
+    count = len(standings)
+    decided = next((one.number for one in standings if not one.is_decided), count)
+    may_ask = count < most and count - decided < search.at_a_time
+    return max(0, count + 1 - search.at_a_time) if may_ask else None
 
 
 class _Ranking:

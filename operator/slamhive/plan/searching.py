@@ -108,7 +108,8 @@ class SearchedAxis:
         if self.dimension.span is None:
             return dict(self.dimension.settings[self.step(value)])
         ends = self.ends or (value, value)
-        if not ends[0] <= value <= ends[1]:
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not is_number or not ends[0] <= value <= ends[1]:
             raise InputError(f"{self.dimension.where}: {value!r} is outside of {ends[0]:g} to {ends[1]:g}")
         return assign(self.dimension.path or (), value, self.dimension.where)
 

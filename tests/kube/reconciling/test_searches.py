@@ -17,8 +17,11 @@ from testcluster.lab import condition_of, dataset, status_of, sweep, until
 from slamhive.archive import Archive
 from slamhive.jobs.lines import encode_all
 from slamhive.kube.api.kinds import Key, Kind, Label
-from slamhive.model.errors import SystemFault
+from slamhive.kube.reconciling.sweep_search import require_room
+from slamhive.model.errors import InputError, SystemFault
 from slamhive.model.search import Trial
+from slamhive.model.sweep import Sweep
+from slamhive.plan import FixedCatalog, SearchPlan
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -148,6 +151,78 @@ async def test_a_search_tries_what_is_proposed_and_gives_good_settings_their_fur
     assert condition_of(status, "Complete")["message"] == (
         f"4 settings were tried, {complete} of them with all runs"
     )
+
+
+async def test_trials_may_be_raised_when_all_are_done(make_search_lab: Callable[..., Lab]) -> None:
+    lab, dice = make_search_lab(), Dice()
+    async with lab.operator(sampler=dice, **QUICK) as op:
+        lab.apply(search(trials=1))
+        first = await status_of(op, Kind.SWEEP, "study", is_complete)
+        lab.patch("sweep", "study", {"spec": {"search": {"trials": 2}}})
+        status = await status_of(
+            op, Kind.SWEEP, "study", lambda found: is_complete(found) and len(sizes(found)) == 2
+        )
+    assert dice.asked == [0, 1]
+    assert sizes(status)[:1] == sizes(first)
+
+
+async def test_what_the_archive_knows_is_tried_first_and_not_run_again(
+    make_search_lab: Callable[..., Lab], tmp_path: Path
+) -> None:
+    lab, dice = make_search_lab(), Dice()
+    with Archive.open(f"sqlite:///{tmp_path / 'archive.sqlite'}") as archive:
+        async with lab.operator(archive, sampler=Dice(), **QUICK) as op:
+            lab.apply(search(trials=3))
+            first = await status_of(op, Kind.SWEEP, "study", is_complete)
+            lab.calls.clear()
+        async with lab.operator(archive, sampler=dice, **QUICK) as op:
+            again = search(trials=4)
+            again["metadata"]["name"] = "again"
+            lab.apply(again)
+            status = await status_of(op, Kind.SWEEP, "again", is_complete)
+    known = [trial for trial in status["search"]["trials"] if trial.get("origin") == "Known"]
+    assert sorted(trial["values"][0] for trial in known) == sorted(sizes(first))
+    assert dice.asked == [3]
+    assert status["search"]["spared"] == status["reused"] >= 3
+    assert lab.calls.count(("create", "jobs.batch")) < status["total"]
+
+
+async def test_a_sampler_that_fails_is_told_and_starts_nothing(make_search_lab: Callable[..., Lab]) -> None:
+    lab, dice = make_search_lab(), Dice()
+    dice.broken = True
+    async with lab.operator(sampler=dice, **QUICK) as op:
+        lab.apply(search())
+        status = await status_of(op, Kind.SWEEP, "study", lambda found: condition_of(found, "Blocked"))
+        assert not runs_of(op)
+    told = condition_of(status, "Blocked")
+    assert (told["status"], told["reason"]) == ("True", "CannotSearch")
+    assert told["message"] == "the sampler TPE: it ran into its limits"
+
+
+async def test_trials_that_can_t_be_read_are_refused(make_search_lab: Callable[..., Lab]) -> None:
+    lab = make_search_lab()
+    lab.apply(search())
+    lab.patch(
+        "sweep", "study", {"status": {"search": {"trials": [{"values": ["a lot"]}]}}}, subresource="status"
+    )
+    async with lab.operator(sampler=Dice(), **QUICK) as op:
+        status = await status_of(op, Kind.SWEEP, "study", lambda found: condition_of(found, "Accepted"))
+        assert not runs_of(op)
+    assert condition_of(status, "Accepted")["status"] == "False"
+    assert "'a lot'" in condition_of(status, "Accepted")["message"]
+
+
+def test_more_trials_than_a_status_can_hold_are_refused() -> None:
+    spec = search(trials=5000)["spec"]
+    spec["matrix"] = [
+        {"path": "parameters.mode", "values": ["x" * 1000, "y"]},
+        {"path": "parameters.size", "range": {"from": 0, "to": 1}},
+    ]
+    plan = SearchPlan(Sweep.model_validate(search() | {"spec": spec}), FixedCatalog(), strict=False)
+    with pytest.raises(
+        InputError, match=r"^spec\.search\.trials: 5000 settings of up to .* at most 9\d\d of"
+    ):
+        require_room(plan, 0)
 
 
 async def test_what_is_tried_stays_the_same_whenever_the_operator_ends(

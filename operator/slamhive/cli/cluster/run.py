@@ -29,7 +29,16 @@ from slamhive.cli.results import show_table
 from slamhive.kube.api.errors import ApiError, NotFound
 from slamhive.kube.api.kinds import Key, Kind, Object
 from slamhive.kube.records import record_of
-from slamhive.kube.user.queries import has_failed, is_over, is_stuck, name_of, runs_of, status_of, troubles
+from slamhive.kube.user.queries import (
+    extent,
+    has_failed,
+    is_over,
+    is_stuck,
+    name_of,
+    runs_of,
+    status_of,
+    troubles,
+)
 from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError
 from slamhive.model.results import Phase
@@ -248,8 +257,8 @@ def _shown(body: Object) -> dict[str, Any]:
     notes = [f"{found['running']} in flight"] if found.get("running") else []
     notes += [f"[red]{found['failed']} failed[/]"] if found.get("failed") else []
     notes += [f"{found['evaluated']} evaluated"] if found.get("evaluated") else []
-    done = found.get("succeeded", 0) + found.get("failed", 0)
-    return {"total": found.get("total"), "completed": done, "notes": " ".join(notes)}
+    total, done = extent(found)
+    return {"total": total or None, "completed": done, "notes": " ".join(notes)}
 
 
 def _warn(items: Sequence[_AwaitedObject]) -> bool:

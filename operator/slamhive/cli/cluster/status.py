@@ -23,6 +23,7 @@ from slamhive.kube.api.kinds import Kind
 from slamhive.kube.status import metres, moment, phase_of
 from slamhive.kube.user.queries import (
     NamespacePicture,
+    extent,
     labels_of,
     look_around,
     look_at,
@@ -115,10 +116,22 @@ def _of_sweep(body: Object) -> list[tuple[str, str]]:
     return [
         ("phase", str(found.get("phase", "Pending"))),
         ("runs", f"{_bar(found)} {found.get('progress', '')}  {', '.join(counts)}"),
+        ("settings", _settings(found.get("search") or {})),
         ("CPU time", f"{found['cpuSeconds']:,.1f} s" if found.get("cpuSeconds") else ""),
         ("started", str(found.get("startTime") or "")),
         ("completed", str(found.get("completionTime") or "")),
     ]
+
+
+def _settings(search: Object) -> str:
+    """Return how many settings a search has tried, and the best one; empty where it is none."""
+    if not search:
+        return ""
+    parts = [f"{search.get('asked', 0):,} of {search.get('most', 0):,} tried"]
+    for best in (search.get("best") or ())[:1]:
+        figures = ", ".join(f"{figure:.4g}" for figure in best.get("figures") or ())
+        parts.append(f"best: {json.dumps(best['values'])[1:-1]} ({figures})")
+    return ", ".join(parts)
 
 
 def _of_run(body: Object) -> list[tuple[str, str]]:
@@ -273,9 +286,8 @@ def _phase(word: str) -> Text:
 
 
 def _bar(found: Object) -> str:
-    """Return the share of runs that are done as a bar of characters."""
-    total = found.get("total") or 0
-    done = found.get("succeeded", 0) + found.get("failed", 0)
+    """Return the share of runs that are done, or of settings that are decided, as a bar of characters."""
+    total, done = extent(found)
     filled = _BAR * done // total if total else 0
     return "█" * filled + "░" * (_BAR - filled)
 

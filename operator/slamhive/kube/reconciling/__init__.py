@@ -35,7 +35,7 @@ def reconcilers(archive: Archive | None = None, sampler: Proposer | None = None)
     evaluations = Evaluations(catalogue)
     keeper = Keeper(catalogue, archive) if archive is not None else None
     runs = RunReconciler(catalogue, evaluations, reusable, keeper)
-    sweeps = SweepReconciler(catalogue, archive, sampler)
+    sweeps = SweepReconciler(catalogue, archive, sampler, reusable)
     datasets = DatasetReconciler()
 
     async def wake(cluster: Cluster, key: Key) -> float | None:

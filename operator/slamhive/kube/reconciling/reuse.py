@@ -12,19 +12,24 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.kube.api.kinds import Key, Kind, Label, annotations_of, key_of, labels_of
 from slamhive.kube.reconciling.sweep_runs import SAME_AS
+from slamhive.kube.reconciling.variants import Wanted
 from slamhive.kube.records import record_of
 from slamhive.kube.status import phase_of
 from slamhive.model.results import Phase
-from slamhive.model.status import AlgorithmStatus, MappingRunStatus
+from slamhive.model.status import AlgorithmStatus, DatasetStatus, MappingRunStatus
 from slamhive.model.sweep import CachePolicy
 from slamhive.plan import content_hash, image_digest, pinned_digest
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from slamhive.archive import Archive
     from slamhive.kube.cluster import Cluster
     from slamhive.kube.reconciling.catalogue import Catalogue
     from slamhive.kube.reconciling.run_status import RunFacts
+    from slamhive.model.algorithm import Algorithm
     from slamhive.model.results import RunRecord
+    from slamhive.plan import Plan, Point
 
 
 class ReusableRuns:
@@ -122,25 +127,58 @@ class ReusableRuns:
             facts: the run.
             image: digest of its image.
         """
-        description = facts.variant.description
+        return self._hash(facts.spec_hash, facts.algorithm, facts.variant.description, image)
+
+    def contents(self, cluster: Cluster, namespace: str, plan: Plan) -> Callable[[Point], str | None]:
+        """Return a function that tells the content hash that a run of a plan would have now.
+
+        It holds what is known at this moment, so that any thread may call it.
+        """
+        images = {
+            name: self._image_of(cluster, namespace, algorithm) for name, algorithm in plan.algorithms.items()
+        }
+        datasets = (cluster.store.get(Key(Kind.DATASET, namespace, name)) for name in plan.datasets)
+        variants = {
+            entry.name: entry.description
+            for body in datasets
+            for entry in DatasetStatus.of(body or {}).variants
+        }
+
+        def content(point: Point) -> str | None:
+            spec = point.spec
+            algorithm = plan.algorithms.get(spec["algorithmRef"]["name"])
+            dataset = plan.datasets.get(spec["datasetRef"]["name"])
+            if algorithm is None or dataset is None:
+                return None
+            description = variants.get(Wanted.by(spec, algorithm, dataset).name)
+            return self._hash(point.spec_hash, algorithm, description, images.get(algorithm.name))
+
+        return content
+
+    def _hash(
+        self, spec_hash: str, algorithm: Algorithm, description: dict[str, Any] | None, image: str | None
+    ) -> str | None:
         if image is None or not description:
             return None
         return content_hash(
-            facts.spec_hash,
-            self._catalogue.algorithm_hash(facts.algorithm),
+            spec_hash,
+            self._catalogue.algorithm_hash(algorithm),
             description["datasetSha256"],
             str(description["preparationVersion"]),
             image,
             description.get("preparedBy"),
         )
 
+    def _image(self, cluster: Cluster, facts: RunFacts) -> str | None:
+        return self._image_of(cluster, facts.key.namespace, facts.algorithm)
+
     @staticmethod
-    def _image(cluster: Cluster, facts: RunFacts) -> str | None:
-        pinned = pinned_digest(facts.algorithm.spec.image or "")
+    def _image_of(cluster: Cluster, namespace: str, algorithm: Algorithm) -> str | None:
+        pinned = pinned_digest(algorithm.spec.image or "")
         if pinned is not None:
             return pinned
-        algorithm = cluster.store.get(Key(Kind.ALGORITHM, facts.key.namespace, facts.algorithm.name)) or {}
-        known = AlgorithmStatus.of(algorithm).image_id
+        body = cluster.store.get(Key(Kind.ALGORITHM, namespace, algorithm.name)) or {}
+        known = AlgorithmStatus.of(body).image_id
         return image_digest(known) if known else None
 
 

@@ -12,6 +12,7 @@ import asyncio
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from slamhive.archive.known import known_trials
 from slamhive.engine import (
     PointState,
     StartPoints,
@@ -28,6 +29,7 @@ from slamhive.kube.pods import live_pods
 from slamhive.kube.reconciling.archiving import ArchiveAway, Keeper, in_thread
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.reconciling.evaluation_groups import SWEEP_PREFIX
+from slamhive.kube.reconciling.reuse import ReusableRuns
 from slamhive.kube.reconciling.sweep_losses import (
     announcement,
     are_missing,
@@ -55,7 +57,7 @@ from slamhive.model.base import seconds
 from slamhive.model.errors import InputError, SystemFault
 from slamhive.model.search import SearchRecord
 from slamhive.model.status import SearchStatus, SweepDisplay, SweepStatus
-from slamhive.model.sweep import Sweep
+from slamhive.model.sweep import CachePolicy, Sweep
 from slamhive.sampling import Sampler
 
 if TYPE_CHECKING:
@@ -64,7 +66,8 @@ if TYPE_CHECKING:
     from slamhive.archive import Archive
     from slamhive.kube.cluster import Cluster
     from slamhive.kube.reconciling.catalogue import Catalogue
-    from slamhive.kube.reconciling.sweep_search import Proposer
+    from slamhive.kube.reconciling.sweep_search import Proposer, SearchMemory
+    from slamhive.model.search import Trial
 
 
 _LOOK_SECONDS = 0.1
@@ -112,14 +115,20 @@ class SweepReconciler:
         catalogue: Algorithms and Datasets.
         archive: where finished runs are kept, if anywhere.
         sampler: proposes what searches try; default: one that nobody else uses.
+        reusable: finished runs by content; default: nobody else's.
     """
 
     def __init__(
-        self, catalogue: Catalogue, archive: Archive | None = None, sampler: Proposer | None = None
+        self,
+        catalogue: Catalogue,
+        archive: Archive | None = None,
+        sampler: Proposer | None = None,
+        reusable: ReusableRuns | None = None,
     ) -> None:
         self._catalogue = catalogue
         self._archive = archive
         self._asker = Asker(sampler or Sampler())
+        self._reusable = reusable or ReusableRuns(catalogue, archive)
         self._keeper = Keeper(catalogue, archive) if archive is not None else None
         self._memory: dict[str, SweepMemory] = {}
         self._parsed: dict[str, tuple[int, Sweep]] = {}
@@ -308,25 +317,32 @@ class SweepReconciler:
         window = sweep.spec.parallelism or cluster.settings.default_parallelism
         room = max(0, window - len(leaving))
         decision = _decide(seen, room, now)
-        unmade: str | None = None
+        unsought: str | None = None
         if memory.search is not None and decision.verdict is Verdict.RUNNING:
-            seen, unmade = await self._try_further(cluster, seen)
+            seen, unsought = await self._try_further(cluster, seen)
             decision = _decide(seen, room, now)
         memory.cursor = decision.cursor
+        unmade: str | None = None
         for action in decision.actions:
             match action:
                 case StartPoints() if self._is_held_back(seen, window):
                     pass
                 case StartPoints(indices):
-                    unmade = unmade or self._backlog(cluster, seen, window)
+                    unmade = self._backlog(cluster, seen, window)
                     unmade = unmade or await self._start(cluster, seen, indices, now)
                 case StopPoints(indices):
                     await self._cancel(cluster, [seen.runs[index] for index in indices if index in seen.runs])
-        delays = [_BLOCKED_SECONDS] if unmade else []
+        delays = [_BLOCKED_SECONDS] if unmade or unsought else []
         delays += [_LEAVING_SECONDS] if leaving else []
         still = standing_still(seen.runs, cluster.failing)
-        blocked = "\n".join(filter(None, (unmade, still)))
-        word = "CannotCreate" if unmade else "RunsStandStill" if still else "Free"
+        blocked = "\n".join(filter(None, (unsought, unmade, still)))
+        words = (
+            (unsought, "CannotSearch"),
+            (unmade, "CannotCreate"),
+            (still, "RunsStandStill"),
+            (True, "Free"),
+        )
+        word = next(word for told, word in words if told)
         if sweep.spec.budget.wall_time is not None and decision.verdict is Verdict.RUNNING:
             delays.append(_budget_left(sweep, memory, now))
         delays += await self._write_status(
@@ -348,7 +364,7 @@ class SweepReconciler:
         if search is None:
             return seen, None
         try:
-            fresh = await self._asker.further(search)
+            fresh = await self._known_before(cluster, seen, search) or await self._asker.further(search)
         except (InputError, SystemFault) as error:
             return seen, str(error)
         if not fresh and written_trials(seen.body) == search.fields:
@@ -360,6 +376,18 @@ class SweepReconciler:
         for trial in fresh:
             search.draw(trial, memory.states)
         return replace(seen, body=body), None
+
+    async def _known_before(self, cluster: Cluster, seen: _SweepPicture, search: SearchMemory) -> list[Trial]:
+        """Return the settings whose results the archive has already, which are tried first.
+
+        Only where datasets are prepared as these settings read them it is known what is equal; what isn't
+        known to be now is taken over all the same when its run begins.
+        """
+        takes = seen.sweep.spec.cache_policy != CachePolicy.RERUN and search.search.method.is_sampled
+        if search.plan.trials or self._archive is None or not takes:
+            return []
+        content = self._reusable.contents(cluster, seen.key.namespace, search.plan)
+        return await in_thread(known_trials, search.plan, self._archive, content)
 
     def _is_held_back(self, seen: _SweepPicture, window: int) -> bool:
         """Tell whether finished runs wait for an archive that is away: more would fill the cluster."""
@@ -434,21 +462,23 @@ class SweepReconciler:
         body, memory = seen.body, seen.memory
         # A Sweep is complete when its runs are measured, not when they have ended.
         settled = len(seen.settled) == len(seen.runs)
+        over = decision.verdict.is_final and settled
+        # However many runs end, the status is written once in this time; the Sweep's own end does not wait.
+        wait = memory.written_at + cluster.settings.sweep_write_seconds - now
+        if wait > 0 and not over and memory.search is not None:
+            return [wait]  # which of thousands of settings are the best is seen once in this time, too
         phase, conditions = _standing(cluster, seen, decision, settled, blocked)
         status = _figures(memory, seen.tally) | SweepStatus(
             phase=phase, observed_generation=body["metadata"].get("generation", 1)
         )
         if memory.started_at is not None:
             status |= SweepStatus(start_time=iso(memory.started_at))
-        over = decision.verdict.is_final and settled
         if over and not body["status"].get("completionTime"):
             status |= SweepStatus(completion_time=iso(now))
         is_news = bool(status_patch(body, status.as_patch(), conditions, now))
         fresh = self._keeper is not None and not all(memory.kept.has(run) for run in seen.settled)
         if not is_news and not fresh:
             return []
-        # However many runs end, the status is written once in this time; the Sweep's own end does not wait.
-        wait = memory.written_at + cluster.settings.sweep_write_seconds - now
         if wait > 0 and not (over and is_news):
             return [wait]
         away = await self._keep(cluster, seen)

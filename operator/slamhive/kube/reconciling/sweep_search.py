@@ -16,7 +16,16 @@ from pydantic import ValidationError
 
 from slamhive.analysis.searching import runs_seen
 from slamhive.contract.settled import is_settled
-from slamhive.engine import PointState, RunSeen, SearchDecision, best_of, decide, decide_search
+from slamhive.engine import (
+    PointState,
+    RunSeen,
+    SearchDecision,
+    TrialStanding,
+    asked_next,
+    best_of,
+    decide,
+    decide_search,
+)
 from slamhive.kube.api.encoding import encode
 from slamhive.kube.records import record_of
 from slamhive.model.canonical import normalize
@@ -34,7 +43,6 @@ from slamhive.model.status import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from slamhive.engine import TrialStanding
     from slamhive.kube.api.kinds import Object
     from slamhive.kube.reconciling.sweep_runs import Finished, SweepTally
     from slamhive.model.results import RunRecord
@@ -214,20 +222,21 @@ class Asker:
             raise InputError(memory.problem)
         decision, plan = memory.decision, memory.plan
         found = [_plain(trial) for trial in decision.draws]
-        trials = [*plan.trials, *found]
-        while decision.told is not None and len(found) < _ASKED_AT_ONCE:
+        trials, standings, told = [*plan.trials, *found], [*decision.standings], decision.told
+        while told is not None and len(found) < _ASKED_AT_ONCE:
             # In a thread: it takes up to a second, and what answers is another process.
             async with self._asking:
                 trial = await asyncio.to_thread(
-                    self._sampler.propose,
-                    *(memory.search, plan.space, trials, decision.standings, decision.told),
+                    self._sampler.propose, *(memory.search, plan.space, trials, standings, told)
                 )
             if trial is None:
                 memory.is_exhausted = True
                 break
             found.append(_plain(trial))
             trials.append(found[-1])
-            decision = decide_search(memory.search, plan.space, trials, memory.seen, plan.most_trials)
+            # Its number alone is new: who is told what does not wait for another look at all runs.
+            standings.append(TrialStanding(len(standings)))
+            told = asked_next(memory.search, standings, plan.most_trials)
         return found
 
 

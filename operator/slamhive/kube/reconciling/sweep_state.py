@@ -24,7 +24,7 @@ from slamhive.kube.status import moment
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.results import Phase
 from slamhive.model.status import LIST_BYTES, AxisSelection, SweepStatus, trial_field
-from slamhive.plan import FixedCatalog, Plan, SearchPlan, plan_problems
+from slamhive.plan import FixedCatalog, Plan, SearchPlan, plan_of, plan_problems
 from slamhive.plan.catalog import select
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ async def remember(
         tried = await in_thread(_tried, archive, sweep.metadata.uid or "")  # the status was lost
 
     def lay_out() -> tuple[Plan, list[int], str]:
-        plan = SearchPlan(chosen, catalog, tried) if searching else Plan(chosen, catalog)
+        plan = plan_of(chosen, catalog, tried)
         if isinstance(plan, SearchPlan):
             require_room(plan, size)
         shown = plan.probing() if isinstance(plan, SearchPlan) else plan

@@ -17,6 +17,8 @@ from slamhive.kube.user.queries import is_over, name_of, owner_uid, runs_of, sta
 from slamhive.kube.user.run_files import WantedRun
 from slamhive.model.errors import InputError
 from slamhive.model.evaluation import EvaluationSettings
+from slamhive.model.search import SearchRecord
+from slamhive.model.status import SweepStatus
 from slamhive.model.sweep import Sweep
 from slamhive.plan import resolve
 
@@ -84,6 +86,7 @@ class Fetcher:
         name, meta, status = name_of(body), body["metadata"], status_of(body)
         runs = await runs_of(self._cluster, body)
         spec = parse(Sweep, body).spec
+        search = SweepStatus.of(body).search
         self._archive.put_sweep(
             SweepRecord(
                 uid=meta["uid"],
@@ -93,6 +96,7 @@ class Fetcher:
                 spec=spec.as_json(),
                 evaluation=spec.evaluation.as_json(),
                 created=meta.get("creationTimestamp"),
+                search=search and SearchRecord(trials=search.trials or [], spared=search.spared or 0),
             )
         )
         self._settings[meta["uid"]] = spec.evaluation

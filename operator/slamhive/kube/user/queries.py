@@ -218,6 +218,18 @@ def status_of(body: Mapping[str, Any]) -> Mapping[str, Any]:
     return body.get("status") or {}
 
 
+def extent(found: Mapping[str, Any]) -> tuple[int, int]:
+    """Return how many runs of a Sweep there are and how many are done; of a search its settings.
+
+    Args:
+        found: its status.
+    """
+    search = found.get("search") or {}
+    if search.get("most"):
+        return search["most"], search.get("decided") or 0
+    return found.get("total") or 0, found.get("succeeded", 0) + found.get("failed", 0)
+
+
 def owner_uid(run: Mapping[str, Any]) -> str | None:
     """Return the identity of the Sweep that a run belongs to."""
     owners: Iterable[Mapping[str, Any]] = run["metadata"].get("ownerReferences") or ()

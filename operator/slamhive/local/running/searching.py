@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 from slamhive.analysis.searching import runs_seen
+from slamhive.archive.known import known_trials
 from slamhive.engine import PointState, RunSeen, SearchDecision, best_of, decide, decide_search
-from slamhive.local.running.known import known_trials
 from slamhive.model.canonical import normalize
 from slamhive.model.errors import InputError
 from slamhive.model.search import SearchRecord, Trial

@@ -22,9 +22,8 @@ if TYPE_CHECKING:
 
     from slamhive.archive import Archive
     from slamhive.archive.records import ReusableRun
-    from slamhive.local.running.execution import PlannedPoint
     from slamhive.model.results import RunRecord
-    from slamhive.plan import SearchPlan, SearchSpace
+    from slamhive.plan import Point, SearchPlan, SearchSpace
     from slamhive.plan.searching import SearchedAxis
 
 _SHARE = 3 / 4
@@ -33,9 +32,7 @@ _SHARE = 3 / 4
 _ABSENT = object()
 
 
-def known_trials(
-    plan: SearchPlan, archive: Archive, content: Callable[[PlannedPoint], str | None]
-) -> list[Trial]:
+def known_trials(plan: SearchPlan, archive: Archive, content: Callable[[Point], str | None]) -> list[Trial]:
     """Return the settings of a search that the archive knows, in an order that follows from them alone.
 
     Of more than three quarters of the trials the best ones make up half, the rest is chosen by the seed.
