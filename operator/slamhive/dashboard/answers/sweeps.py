@@ -15,7 +15,6 @@ from slamhive.dashboard.answers.catalog import (
     MAX_NAMES,
     chosen,
     current,
-    manifest,
     names,
     single,
     sweep_names,
@@ -24,6 +23,7 @@ from slamhive.dashboard.answers.catalog import (
 from slamhive.dashboard.problems import BadRequest, Missing
 from slamhive.model.errors import suggestion
 from slamhive.model.results import Outcome
+from slamhive.tables.manifests import manifest
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -18,6 +18,7 @@ from slamhive.dashboard.server.routes import FORMATS
 from slamhive.dashboard.server.service import Service, client_of, service_of
 from slamhive.dashboard.sources.archived import Snapshot
 from slamhive.runfiles.artifacts import ArtifactFolder
+from slamhive.tables.manifests import run_manifest
 
 Name = Annotated[str, Path(max_length=10_000)]
 Most = Annotated[int, Query(ge=10, le=20_000, description="Points at most.")]
@@ -127,7 +128,7 @@ async def manifest(request: Request, uid: Name) -> Response:
     await service.fresh()
     record = await service.run(lambda: one_run.find(service.source, uid))
     headers = {"Content-Disposition": _attachment(f"{record.name}.yaml")}
-    return Response(one_run.manifest(record), media_type="application/yaml", headers=headers)
+    return Response(run_manifest(record), media_type="application/yaml", headers=headers)
 
 
 @routes.get(
