@@ -87,7 +87,8 @@ def _put_version(url: str, version: int) -> None:
         with closing(sqlite3.connect(str(engine.url.database))) as file:
             held.backup(file)
         return
-    added = {"note", "tags", "noted"} | ({"divided_to"} if version <= 3 else set())
+    added = {"search"} | ({"note", "tags", "noted"} if version <= 4 else set())
+    added |= {"divided_to"} if version <= 3 else set()
     if version <= 2:
         added |= {"identity"}
     if version == 1:

@@ -37,6 +37,7 @@ from slamhive.model.results import (
     TrajectoryInfo,
     Usage,
 )
+from slamhive.model.search import SearchRecord, Trial
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -348,6 +349,38 @@ def test_opening_again_finds_everything(url: str, make_run: MakeRun) -> None:
         assert archive.count() == 2
 
 
+def test_what_a_search_tried_stays_when_its_sweep_is_asked_for_again(url: str) -> None:
+    sweep = SweepRecord(uid="s1", name="study", spec={"matrix": []})
+    trials = [Trial(values=[0.1 + 0.2, None, {"a": None}]), Trial(values=["x"], told=1, origin="Known")]
+    with Archive.open(url) as archive:
+        archive.put_sweep(sweep)
+        assert archive.sweeps()[0].search is None
+        archive.put_search("s1", SearchRecord(trials=trials[:1], spared=3))
+        archive.put_sweep(sweep.replace(spec={"matrix": [1]}))
+        longer = archive.change_search("s1", lambda had: had.replace(trials=[*had.trials, trials[1]]))
+        assert longer == SearchRecord(trials=trials, spared=3)
+        assert archive.sweeps() == [sweep.replace(spec={"matrix": [1]}, search=longer)]
+        with pytest.raises(UnknownNameError, match="sweep UID"):
+            archive.put_search("nobody", longer)
+
+
+def test_who_adds_to_a_search_waits_for_who_does(url: str) -> None:
+    """Two runners of a search are never to give one number to two settings."""
+    with Archive.open(url) as archive:
+        archive.put_sweep(SweepRecord(uid="s1", name="study", spec={}))
+
+    def draw(value: int) -> SearchRecord:
+        with Archive.open(url) as one:
+            return one.change_search(
+                "s1", lambda had: had.replace(trials=[*had.trials, Trial(values=[value])])
+            )
+
+    with ThreadPoolExecutor(4) as threads:
+        found = sorted(threads.map(draw, range(4)), key=lambda one: len(one.trials))
+    tried = found[-1].trials
+    assert [one.trials for one in found] == [tried[:number] for number in range(1, 5)]
+
+
 def test_an_archive_of_version_1_is_migrated(url: str, put_version: PutVersion) -> None:
     """The archive was written by the last version that knew sweeps by their names alone."""
     put_version(url, 1)
@@ -379,11 +412,11 @@ def test_a_newer_archive_is_refused(url: str, make_run: MakeRun, monkeypatch: py
         archive.put_run(make_run())
     monkeypatch.setattr(schema, "VERSION", 2)
     for attempt in (Archive.open, upgrade):
-        with pytest.raises(InputError, match=r"newer slamhive \(schema 5; this one knows up to 2\)"):
+        with pytest.raises(InputError, match=r"newer slamhive \(schema 6; this one knows up to 2\)"):
             attempt(url)
 
 
-@pytest.mark.parametrize("version", [1, 2, 3, 4])
+@pytest.mark.parametrize("version", [1, 2, 3, 4, 5])
 def test_an_archive_of_an_earlier_version_waits_for_its_upgrade(
     url: str, version: int, put_version: PutVersion
 ) -> None:
@@ -391,12 +424,12 @@ def test_an_archive_of_an_earlier_version_waits_for_its_upgrade(
     put_version(url, version)
     for read_only in (True, False):
         with pytest.raises(
-            InputError, match=rf"schema {version}; this one needs 5\); `slamhive archive upgr"
+            InputError, match=rf"schema {version}; this one needs 6\); `slamhive archive upgr"
         ):
             Archive.open(url, read_only=read_only)
     done = upgrade(url)
     assert done is not None
-    assert (done.before, done.after) == (version, 5)
+    assert (done.before, done.after) == (version, 6)
     assert upgrade(url) is None
     with Archive.open(url) as archive:
         assert archive.count() == 6
@@ -415,7 +448,7 @@ def test_a_running_slamhive_stops_writing_when_a_newer_one_takes_the_archive(
         old.put_run(make_run("a"))
         engine = create_engine(url.replace("postgresql://", "postgresql+psycopg://"))
         with engine.begin() as connection:
-            connection.execute(text("UPDATE slamhive_schema SET version = 6"))
+            connection.execute(text("UPDATE slamhive_schema SET version = 7"))
         engine.dispose()
         with pytest.raises(InputError, match="newer slamhive"):
             old.put_run(make_run("b"))

@@ -21,6 +21,7 @@ from slamhive.archive import Archive, CatalogEntry, SweepRecord, upgrading
 from slamhive.archive.connection import connect, made_aside, open_engine, writing
 from slamhive.archive.keeping import backup, check, restore
 from slamhive.model.errors import InputError, SystemFault
+from slamhive.model.search import SearchRecord, Trial
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -36,7 +37,8 @@ if TYPE_CHECKING:
 def filled(url: str, make_run: MakeRun, make_result: MakeResult) -> str:
     """An archive with runs, results, a sweep and a catalog."""
     with Archive.open(url) as archive:
-        archive.put_sweep(SweepRecord(uid="s1", name="study", spec={"a": [1.5, None]}))
+        tried = SearchRecord(trials=[Trial(values=[1.5, None])], spared=2)
+        archive.put_sweep(SweepRecord(uid="s1", name="study", spec={"a": [1.5, None]}, search=tried))
         dataset = CatalogEntry(kind="Dataset", name="hall", attributes={"loops": 1}, spec={})
         archive.put_run(make_run("u0", sweep_uid="s1", results=[make_result()]), None, dataset)
         archive.put_runs(make_run(f"u{k}", sweep_uid="s1", results=[make_result()]) for k in range(1, 5))
@@ -220,7 +222,7 @@ def test_a_restore_that_breaks_off_changes_nothing(
     assert contents(filled) == before
 
 
-@pytest.mark.parametrize("version", [1, 2, 3, 4])
+@pytest.mark.parametrize("version", [1, 2, 3, 4, 5])
 def test_a_backup_of_an_earlier_version_is_restored(
     url: str, tmp_path: Path, version: int, put_version: PutVersion
 ) -> None:
@@ -524,7 +526,7 @@ def test_the_commands_say_what_they_did(
     put_version(url, 2)
     code, said = call("upgrade")
     assert code == 0
-    assert "brought from schema 2 to 5; as it was:" in said
+    assert "brought from schema 2 to 6; as it was:" in said
     assert call("upgrade")[1].endswith("nothing to do")
     assert "6 runs, 5 results, 3 sweeps: sound" in call("check")[1]
     assert call("backup", str(tmp_path / "copy"))[0] == 0

@@ -100,7 +100,7 @@ def test_an_upgrade_that_is_killed_leaves_no_half_of_it(
         monkeypatch.setattr(migrations, "STEPS", taken)
         with pytest.raises(KeyboardInterrupt):
             upgrade(url, tell)
-        with pytest.raises(InputError, match=r"schema 4; this one needs 5"):
+        with pytest.raises(InputError, match=r"schema 4; this one needs 6"):
             Archive.open(url)
     assert steps == [4]
     monkeypatch.setattr(migrations, "STEPS", real)

@@ -18,6 +18,7 @@ from slamhive.local.home.folder import lock
 from slamhive.local.home.removed import remove_files
 from slamhive.local.housekeeping import merging
 from slamhive.model.results import Outcome, Result
+from slamhive.model.search import SearchRecord, Trial
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -348,3 +349,26 @@ def test_sweeps_catalog_and_notes_of_removed_files_come_along(
         assert archive.used(["b"]) == {"b": (entry.content_hash, None)}
     _, out, _ = run_command("results", "show", "b")
     assert "its files were removed on" in out
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "kept"), [([], [1, 2], [1, 2]), ([1], [1, 2], [1, 2]), ([1, 3], [1, 2, 4], [1, 3])]
+)
+def test_a_search_goes_on_from_where_it_came_furthest(
+    keep: Callable[[str], Any],
+    run_command: Callable[..., Any],
+    ours: list[int],
+    theirs: list[int],
+    kept: list[int],
+) -> None:
+    """One that tried something else there stays as it is here, as the runs here are of that."""
+    mine, anna = keep("mine"), keep("anna")
+    for home, values in ((mine, ours), (anna, theirs)):
+        home.run("both")
+        with Archive.open(home.home.archive_url) as archive:
+            archive.put_search("s-uid", SearchRecord(trials=[Trial(values=[value]) for value in values]))
+    assert run_command("archive", "merge", anna.path)[0] == 0
+    with Archive.open(mine.home.archive_url) as archive:
+        found = archive.sweeps()[0].search
+    assert found is not None
+    assert [trial.values for trial in found.trials] == [[value] for value in kept]

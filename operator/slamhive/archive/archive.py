@@ -30,6 +30,7 @@ from slamhive.archive.rows import read_rows, read_runs, why
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.leftout import LeftOut, warn_of
 from slamhive.model.results import IntendedEvaluation, Phase, Reason, Result, RunRecord
+from slamhive.model.search import SearchRecord
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -183,10 +184,55 @@ class Archive:
 
     @patient
     def put_sweep(self, sweep: SweepRecord) -> None:
-        """Write a sweep, in the place of what was there of its UID."""
-        row = {name: clean(value) for name, value in sweep.model_dump().items()}
+        """Write a sweep, in the place of what was there of its UID; what its search tried stays."""
+        row = {name: clean(value) for name, value in sweep.model_dump(exclude={"search"}).items()}
+        row["search"] = None if sweep.search is None else _search_document(sweep.search)
         with writing(self._engine) as connection:
             self._upsert(connection, schema.sweeps, [row], ("uid",))
+
+    def put_search(self, uid: str, record: SearchRecord) -> None:
+        """Write what a sweep's search tried, in the place of what was there.
+
+        Raises:
+            UnknownNameError: no sweep has this UID.
+        """
+        self.change_search(uid, lambda _: record)
+
+    @patient
+    def change_search(self, uid: str, change: Callable[[SearchRecord], SearchRecord]) -> SearchRecord:
+        """Change what a sweep's search tried, while nobody else does.
+
+        Args:
+            uid: the sweep's.
+            change: returns of what is there what is to be there.
+
+        Returns:
+            What is there now.
+
+        Raises:
+            UnknownNameError: no sweep has this UID.
+            InputError: what is there can't be read.
+        """
+        columns = schema.sweeps.c
+        with writing(self._engine) as connection:
+            query = select(columns.uid, raw(connection, columns.search)).where(columns.uid == uid)
+            rows = [dict(row) for row in connection.execute(query.with_for_update()).mappings()]
+            if not rows:
+                raise UnknownNameError("sweep UID", uid, [], f"archive {self.location}")
+            ((wrong,),) = documents.opened(connection, (schema.sweeps, rows))
+            try:
+                if wrong is not None:
+                    raise wrong
+                before = SearchRecord.model_validate(rows[0]["search"] or {})
+            except UNREADABLE as error:
+                raise InputError(
+                    f"archive {self.location}: what sweep {uid} tried can't be read: {why(error)}"
+                ) from None
+            after = change(before)
+            if after != before:
+                told = _search_document(after)
+                connection.execute(update(schema.sweeps).where(columns.uid == uid).values(search=told))
+        return after
 
     def settle(self, cluster: str, namespaces: Iterable[str]) -> int:
         """Say of records of namespaces that name no cluster, as of an earlier slamhive, that they are of one.
@@ -649,6 +695,9 @@ class Archive:
         if "cluster" in changes:
             # Not all who write know it: `slamhive fetch` may not see what the operator sees.
             changes["cluster"] = func.coalesce(changes["cluster"], table.c.cluster)
+        if "search" in changes:
+            # Who asks for a sweep again doesn't say what it has tried so far.
+            changes["search"] = func.coalesce(changes["search"], table.c.search)
         made = statement.on_conflict_do_update(index_elements=list(key), set_=changes)
         self._statements[table.name, names] = made
         return made
@@ -678,6 +727,11 @@ def _cost(row: dict[str, Any]) -> Cost:
         algorithm_hash=origin.get("algorithmHash"),
         dataset_sha256=origin.get("datasetSha256"),
     )
+
+
+def _search_document(record: SearchRecord) -> Any:
+    """Return a search as the archive holds it: a value that is tried may be, or contain, null."""
+    return clean(record.model_dump(mode="json", by_alias=True))
 
 
 def _without_remarks(record: RunRecord) -> dict[str, Any]:

@@ -101,7 +101,8 @@ def _shapes(connection: Connection) -> None:
         changes = ", ".join(
             f'ALTER COLUMN "{column.name}" TYPE JSON USING "{column.name}"::text::json'
             for column in table.columns
-            if isinstance(column.type, schema.JsonDocument)
+            # That of searches is made by a later step.
+            if isinstance(column.type, schema.JsonDocument) and column is not schema.sweeps.c.search
         )
         connection.execute(text(f"ALTER TABLE {table.name} {changes}"))
     connection.execute(text("ALTER TABLE runs ALTER COLUMN evaluations SET DEFAULT '[]'"))
@@ -114,7 +115,18 @@ def _remarks(connection: Connection) -> None:
         connection.execute(text(f"ALTER TABLE runs ADD COLUMN {column} {kind}"))
 
 
-STEPS: dict[int, Callable[[Connection], None]] = {1: _identities, 2: _identity, 3: _shapes, 4: _remarks}
+def _searches(connection: Connection) -> None:
+    """Make room for what searches tried."""
+    connection.execute(text("ALTER TABLE sweeps ADD COLUMN search JSON"))
+
+
+STEPS: dict[int, Callable[[Connection], None]] = {
+    1: _identities,
+    2: _identity,
+    3: _shapes,
+    4: _remarks,
+    5: _searches,
+}
 """By version: how tables of that version become those of the next."""
 
 

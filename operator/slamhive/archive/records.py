@@ -14,6 +14,7 @@ from slamhive.archive.remarks import Remarks, split
 from slamhive.model.base import Model
 from slamhive.model.canonical import digest
 from slamhive.model.results import Outcome, Phase, Reason, Result, RunRecord
+from slamhive.model.search import SearchRecord
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -29,6 +30,7 @@ class SweepRecord(Model):
         evaluation: the settings its runs are measured by.
         created: when it was last asked for: of the sweeps of a name, the latest is the current one.
         namespace, cluster: where; None on a workstation.
+        search: what it has tried so far; None where it is no search, or has not begun.
     """
 
     uid: str
@@ -39,6 +41,7 @@ class SweepRecord(Model):
     created: datetime | None = None
     namespace: str | None = None
     cluster: str | None = None
+    search: SearchRecord | None = None
 
 
 class CatalogEntry(Model):

@@ -36,7 +36,7 @@ from sqlalchemy import (
 if TYPE_CHECKING:
     from sqlalchemy import Dialect
 
-VERSION = 5
+VERSION = 6
 """Version of the tables below; a change to them adds one and a step to ``migrations.STEPS``."""
 
 metadata = MetaData()
@@ -114,6 +114,8 @@ sweeps = Table(
     Column("created", UtcDateTime),
     Column("namespace", String(253)),
     Column("cluster", String(253)),
+    # What a search has tried so far; none for a grid.
+    Column("search", JsonDocument),
 )
 
 runs = Table(

@@ -7,6 +7,7 @@ Workstation and operator share it.
 the actions that lead on. The workstation's runner and the operator drive the same functions.
 """
 
+from slamhive.engine.deciding import decide
 from slamhive.engine.reuse import taken_over
 from slamhive.engine.run import (
     AttemptEnd,
@@ -41,6 +42,7 @@ from slamhive.engine.sweep import (
     Verdict,
     decide_sweep,
 )
+from slamhive.engine.threshold import Tally, decide_threshold, tallies
 
 __all__ = [
     "AttemptEnd",
@@ -62,13 +64,17 @@ __all__ = [
     "StopPoints",
     "SweepDecision",
     "SweepObserved",
+    "Tally",
     "TrialStanding",
     "VariantState",
     "Verdict",
     "best_of",
     "classify",
+    "decide",
     "decide_run",
     "decide_search",
     "decide_sweep",
+    "decide_threshold",
     "taken_over",
+    "tallies",
 ]

@@ -12,9 +12,12 @@ last ``atATime`` are decided, and by the results of just these.
 
 from __future__ import annotations
 
+import bisect
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
 
 from slamhive.model.search import Aggregate, Goal
 
@@ -87,6 +90,7 @@ class TrialStanding:
         number: its place.
         scores: its figures after each step.
         runs: how many of its runs they are of.
+        behind: share of those that it was compared with last which were better.
         dropped: why it gets no further runs; None while it does, or when it has all.
         is_complete: whether all its runs are done.
     """
@@ -94,6 +98,7 @@ class TrialStanding:
     number: int
     scores: list[Score] = field(default_factory=list)
     runs: int = 0
+    behind: float = 0.0
     dropped: str | None = None
     is_complete: bool = False
 
@@ -143,11 +148,12 @@ def decide_search(
         most: trials at most.
     """
     steps, order = _steps(search, layout), _order(search, layout)
+    places = {offset: place for place, offset in enumerate(order)}
     standings = [TrialStanding(number) for number in range(len(trials))]
     wanted: list[int] = []
     for step, size in enumerate(steps):
         # One after another, so that each is compared with those before it, whichever ended first.
-        compared: list[TrialStanding] | None = []
+        compared: _Ranking | None = _Ranking()
         for standing in standings:
             if standing.is_decided or len(standing.scores) < step:
                 compared = None if not standing.is_decided else compared
@@ -160,52 +166,74 @@ def decide_search(
                 continue
             if compared is None:
                 continue
-            _compare(search, layout, standing, [runs.get(index) for index in indices], compared)
-            compared.append(standing)
+            score = _score(search, layout, order, [runs.get(index) for index in indices])
+            _compare(standing, score, compared, size=size, block=layout.block, keep=search.keep)
             standing.is_complete = size == layout.block and standing.dropped is None
     decided = next((one.number for one in standings if not one.is_decided), len(standings))
     may_ask = len(trials) < most and len(trials) - decided < search.at_a_time
     told = max(0, len(trials) + 1 - search.at_a_time) if may_ask else None
     is_over = not wanted and told is None and decided == len(trials)
-    wanted.sort(key=lambda index: (index // layout.block, order.index(index % layout.block)))
+    wanted.sort(key=lambda index: (index // layout.block, places[index % layout.block]))
     message = _ended(standings) if is_over else ""
     return SearchDecision(tuple(wanted), (), told, tuple(standings), is_over, message)
 
 
+class _Ranking:
+    """Scores of settings at a step, of which is asked how many are better than another one."""
+
+    def __init__(self) -> None:
+        self._sorted: list[Score] = []
+        self._all: list[tuple[float, ...]] = []
+
+    def __len__(self) -> int:
+        return max(len(self._sorted), len(self._all))
+
+    def add(self, score: Score) -> None:
+        """Add a score."""
+        if len(score.values) == 1:
+            bisect.insort(self._sorted, score)
+        else:
+            self._all.append((score.failed, *score.values))
+
+    def better(self, score: Score) -> int:
+        """Return how many dominate a score."""
+        if len(score.values) == 1:  # one objective has an order, in which they are found at once
+            return bisect.bisect_left(self._sorted, score)
+        if not self._all:
+            return 0
+        table = np.asarray(self._all)
+        failed, values = table[:, 0], table[:, 1:]
+        no_worse = (values <= score.values).all(axis=1) & (values < score.values).any(axis=1)
+        return int(((failed < score.failed) | ((failed == score.failed) & no_worse)).sum())
+
+
 def _compare(
-    search: Search,
-    layout: Layout,
-    standing: TrialStanding,
-    seen: Sequence[RunSeen | None],
-    compared: Sequence[TrialStanding],
+    standing: TrialStanding, score: Score | None, compared: _Ranking, *, size: int, block: int, keep: int
 ) -> None:
     """Judge a setting after a step: it goes on, or is dropped with a word why."""
-    known = [run for run in seen if run is not None and run.is_known]
-    standing.runs = len(seen)
-    if not known:
+    standing.runs = size
+    if score is None:
         standing.dropped = "nothing is known of its runs: the machine failed, or the measuring"
         return
-    score = _score(search, layout, seen)
+    better, others = compared.better(score), len(compared)
+    compared.add(score)
     standing.scores.append(score)
-    if len(seen) == layout.block:
+    standing.behind = better / max(1, others)
+    if size == block:
         return
     if score.failed == 1:
-        standing.dropped = f"all of its {len(seen)} runs failed"
-        return
-    others = [
-        one.scores[len(standing.scores) - 1] for one in compared if len(one.scores) >= len(standing.scores)
-    ]
-    better = sum(other.dominates(score) for other in others)
-    if better >= math.ceil((len(others) + 1) / search.keep):
-        standing.dropped = f"after {len(seen)} of {layout.block} runs {better} of {len(others)} were better"
+        standing.dropped = f"all of its {size} runs failed"
+    elif better >= math.ceil((others + 1) / keep):
+        standing.dropped = f"after {size} of {block} runs {better} of {others} were better"
 
 
-def _score(search: Search, layout: Layout, seen: Sequence[RunSeen | None]) -> Score:
+def _score(
+    search: Search, layout: Layout, order: Sequence[int], seen: Sequence[RunSeen | None]
+) -> Score | None:
     """Return the figures of a setting: means over its repetitions, then over contexts their mean or worst.
 
-    Runs of which nothing is known are left out; failed ones count in the share alone.
+    Runs of which nothing is known are left out; failed ones count in the share alone. None: nothing is known.
     """
-    order = _order(search, layout)
     by_context: dict[int, list[tuple[float, ...]]] = {}
     failed = known = 0
     for offset, run in zip(order, seen, strict=False):
@@ -215,6 +243,8 @@ def _score(search: Search, layout: Layout, seen: Sequence[RunSeen | None]) -> Sc
         failed += run.has_failed
         if not run.has_failed and run.values is not None:
             by_context.setdefault(offset // layout.repetitions, []).append(run.values)
+    if not known:
+        return None
     values = []
     for number, objective in enumerate(search.objectives):
         sign = -1 if objective.goal is Goal.MAXIMIZE else 1

@@ -12,6 +12,10 @@ from slamhive.model.results import Outcome
 
 MAX_TRIALS = 5_000
 """The most settings that a search may try: its trials are kept in the Sweep's status."""
+VALUES_BESIDE = 2
+"""Values that are tried beside a threshold that was found, to see whether failing is monotone."""
+VALUES_UNKNOWN = 2
+"""Values of which nothing becomes known after which a threshold is left as wide as it is."""
 
 
 class SearchMethod(Choice):
@@ -107,7 +111,8 @@ class Search(Model):
         default_factory=TrialRepetitions, description="Runs of a setting on each dataset."
     )
     across: list[str] | None = optional(
-        "Labels of axes on all values of which each setting is run, rather than searched; default: dataset.",
+        "Labels of axes on all values of which each setting is run, rather than searched; default: dataset, "
+        "of a threshold none.",
         max_length=32,
     )
     aggregate: Aggregate = Field(
@@ -125,8 +130,8 @@ class Search(Model):
     axis: str | None = optional("Label of the axis whose threshold is sought.")
     failing: Failing = Field(default_factory=Failing, description="When a run has failed.")
     tolerance: float | None = optional(
-        "Width of the interval at which a threshold on a range without step is good enough; default: a "
-        "hundredth of the range.",
+        "Width of the interval at which a threshold on a range without step is good enough, of a logarithmic "
+        "one the ratio of its ends less 1; default: a hundredth of the range.",
         gt=0,
     )
 
@@ -136,7 +141,7 @@ class Search(Model):
         threshold = {"axis", "failing", "tolerance"}
         foreign = {
             SearchMethod.GRID: sampled | threshold | {"repetitions"},
-            SearchMethod.THRESHOLD: sampled | {"repetitions"},
+            SearchMethod.THRESHOLD: (sampled - {"across"}) | {"repetitions"},
         }.get(self.method, threshold)
         for name in sorted(foreign):
             field = type(self).model_fields[name]
@@ -177,4 +182,13 @@ class Trial(Model):
     )
     origin: TrialOrigin = Field(
         default=TrialOrigin.DRAWN, description="Drawn by the method, or known to the archive before."
+    )
+
+
+class SearchRecord(Model):
+    """A search as far as it has come: what it goes on from after any end."""
+
+    trials: list[Trial] = Field(default_factory=list, description="The settings that are tried, by number.")
+    spared: int = Field(
+        default=0, ge=0, description="Runs whose results the archive had before the search began."
     )

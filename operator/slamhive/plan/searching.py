@@ -18,17 +18,19 @@ from typing import TYPE_CHECKING, Any, get_args
 from slamhive.model.algorithm import ParameterType
 from slamhive.model.canonical import normalize
 from slamhive.model.errors import InputError
-from slamhive.model.search import MAX_TRIALS, SearchMethod, Trial
+from slamhive.model.search import MAX_TRIALS, VALUES_BESIDE, VALUES_UNKNOWN, SearchMethod, Trial
 from slamhive.model.sweep import MAX_POINTS
 from slamhive.plan.catalog import FixedCatalog
 from slamhive.plan.expansion import Plan
 from slamhive.plan.grid import Addition, Grid
+from slamhive.plan.ladder import Ladder
 from slamhive.plan.paths import ALGORITHM, DATASET, PARAMETERS, SENSORS, assign, field_type
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from slamhive.model.algorithm import Algorithm
+    from slamhive.model.search import Search
     from slamhive.model.sweep import Sweep
     from slamhive.plan.axes import Dimension
     from slamhive.plan.catalog import Catalog
@@ -152,13 +154,14 @@ class SearchSpace:
                 raise InputError(
                     f"{axis.where}.range: give step or count, as each setting is run on all of them"
                 )
-        excluded = [label for entry in sweep.spec.exclude for label in entry if label not in across]
+        dropping = [entry for entry in sweep.spec.exclude if not self.is_threshold or set(entry) & {*across}]
+        excluded = [label for entry in dropping for label in entry if label not in across]
         if excluded:
             raise InputError(
                 f"spec.exclude: a search goes across {', '.join(across) or 'no axis'}, only such can be "
                 f"excluded, found {excluded[0]}"
             )
-        grid = Grid(over, template, [], sweep.spec.exclude)
+        grid = Grid(over, template, [], dropping)
         self.contexts: list[Addition] = [
             _combined(
                 [
@@ -176,6 +179,43 @@ class SearchSpace:
         if alone and not self.is_threshold:
             raise InputError(f"{alone[0]}: has one value, so nothing to search; set it in the template")
         self.repetitions = sweep.spec.repetitions if self.is_threshold else search.repetitions.promote
+        if self.is_threshold:
+            others = [entry for entry in sweep.spec.exclude if entry not in dropping]
+            self._seek(search, template, others)
+
+    def _seek(self, search: Search, template: Settings, excluded: Sequence[Mapping[str, Any]]) -> None:
+        """Lay out the seeking of thresholds: an axis, and a series for each combination of the others."""
+        labels = [axis.label for axis in self.axes]
+        if search.axis not in labels:
+            raise InputError(f"spec.search.axis: {search.axis} is one of search.across, nothing of it is sought")
+        self.sought = labels.index(search.axis)
+        self.ladder = Ladder(self.axes[self.sought], search.tolerance)
+        for axis in self.axes:
+            if axis.ends is not None and axis.label != search.axis:
+                raise InputError(
+                    f"{axis.dimension.where}.range: give step or count, as a threshold is sought for each"
+                )
+        if any(search.axis in entry for entry in excluded):
+            raise InputError(
+                f"spec.exclude: a threshold is sought between all values of {search.axis}; leave some out there"
+            )
+        others = [axis.dimension for axis in self.axes if axis.label != search.axis]
+        grid = Grid(others, template, [], excluded)
+        self.series = [
+            tuple(axis.values[step] for axis, step in zip(others, grid.steps(row) or (), strict=True))
+            for row in range(len(grid))
+        ]
+        most = len(self.series) * self.values_at_most
+        if most > MAX_TRIALS:
+            raise InputError(
+                f"spec.matrix: {len(self.series)} thresholds of up to {self.values_at_most} values each = {most}"
+                f" values, at most {MAX_TRIALS} are allowed"
+            )
+
+    @property
+    def values_at_most(self) -> int:
+        """Return how many values are tried for a threshold at most: ends, halvings, and two beside them."""
+        return min(len(self.ladder), 2 + self.ladder.halvings + VALUES_BESIDE + VALUES_UNKNOWN)
 
     @property
     def block(self) -> int:
@@ -197,6 +237,15 @@ class SearchSpace:
         return _combined(
             [(axis.label, value, axis.settings(value)) for axis, value in zip(self.axes, values, strict=True)]
         )
+
+    def part(self, values: Sequence[Any]) -> tuple[tuple[Any, ...], Any]:
+        """Return the values on the axes besides the one whose threshold is sought, and the one on that."""
+        place = self.sought
+        return (*values[:place], *values[place + 1 :]), values[place]
+
+    def joined(self, series: Sequence[Any], value: Any) -> list[Any]:
+        """Return the values on all axes: the inverse of ``part``."""
+        return [*series[: self.sought], value, *series[self.sought :]]
 
     def key(self, values: Sequence[Any]) -> str:
         """Return a text that is equal for equal settings."""
@@ -328,6 +377,8 @@ class SearchPlan(Plan):
     @property
     def most_trials(self) -> int:
         """Return the number of trials at most: as many as asked for, or as there are settings."""
+        if self.space.is_threshold:
+            return len(self.space.series) * self.space.values_at_most
         asked = self.sweep.spec.search.trials or min(MAX_TRIALS, MAX_POINTS // self.space.block)
         return min(asked, self.space.size or asked)
 

@@ -22,6 +22,7 @@ import shutil
 import sqlite3
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from slamhive.archive import CatalogEntry
     from slamhive.local.home.folder import Home
     from slamhive.model.results import Result, RunRecord
+    from slamhive.model.search import SearchRecord
 
 ASIDE = ".merging"
 """Folder of a home in which what is merged is made."""
@@ -213,6 +215,8 @@ def merge(
     for sweep in other.archive.sweeps():
         if sweep.uid not in known:
             archive.put_sweep(sweep)
+        elif sweep.search is not None:
+            archive.change_search(sweep.uid, partial(_further, there=sweep.search))
     for number, one in enumerate(plan.coming, 1):
         if one.source is not None and one.target is not None:
             # Files before the record: what a record says to be there is there.
@@ -227,6 +231,12 @@ def merge(
     for uid, remarks in plan.remarks.items():
         archive.annotate([uid], _joining(remarks))
     clear(home)
+
+
+def _further(here: SearchRecord, *, there: SearchRecord) -> SearchRecord:
+    """Return what a search tried: as it is here, unless it went on from there in the other home."""
+    goes_on = there.trials[: len(here.trials)] == here.trials
+    return there if goes_on else here
 
 
 def _joining(theirs: Remarks) -> Callable[[Remarks], Remarks]:

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sampler of a search, as those that drive one see it."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import os
+import select
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from slamhive.model.errors import SystemFault
+from slamhive.model.extras import without
+from slamhive.model.search import SearchMethod, Trial
+from slamhive.sampling.limits import CPU_SECONDS, WALL_SECONDS
+from slamhive.sampling.telling import question, value_meant
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamhive.engine import TrialStanding
+    from slamhive.model.search import Search
+    from slamhive.plan.searching import SearchSpace
+
+_TRIES = 16
+"""Suggestions that are asked for when the first one was tried already."""
+_NEEDS = {
+    SearchMethod.SOBOL: ("scipy",),
+    SearchMethod.TPE: ("optuna", "scipy"),
+    SearchMethod.NSGA_II: ("optuna", "scipy"),
+}
+
+
+def require_sampler(method: SearchMethod) -> None:
+    """Check that the libraries of a method are there.
+
+    Raises:
+        InputError: they are of an extra that isn't installed.
+    """
+    for package in _NEEDS.get(method, ()):
+        if importlib.util.find_spec(package) is None:
+            raise without(f"spec.search.method: {method}", package, "search")
+
+
+class Sampler:
+    """Proposals of settings, by a process of its own that begins at the first one and ends at `close`.
+
+    A proposal follows from the search's seed, the trial's number and the results of the trials told, so
+    that it is the same whenever it is asked for. Not for several threads at once.
+    """
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the process."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        process.kill()
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                with suppress(OSError):
+                    pipe.close()
+        process.wait()
+
+    def propose(
+        self,
+        search: Search,
+        space: SearchSpace,
+        trials: Sequence[Trial],
+        standings: Sequence[TrialStanding],
+        told: int,
+    ) -> Trial | None:
+        """Return the next setting to try, one that none of the trials has; None where all have been tried.
+
+        Args:
+            search: its settings.
+            space: what can be tried.
+            trials: all trials so far.
+            standings: where each stands.
+            told: the results of all trials below this number are told.
+
+        Raises:
+            InputError: the method's libraries aren't installed.
+            SystemFault: the process ended twice, or ran into its limits.
+        """
+        require_sampler(search.method)
+        tried = {space.key(trial.values) for trial in trials}
+        if space.size is not None and len(tried) >= space.size:
+            return None
+        asked = question(search, space, trials, standings, told)
+        for begin, tries in ((0, 1), (1, _TRIES)):
+            for found in self._answer(asked | {"begin": begin, "tries": tries}, search.method):
+                values = [value_meant(axis, value) for axis, value in zip(space.axes, found, strict=True)]
+                if space.key(values) not in tried:
+                    return Trial(values=values, told=told)
+        untried = _untried(space, tried, [search.seed, len(trials)])
+        return None if untried is None else Trial(values=untried, told=told)
+
+    def _answer(self, asked: dict[str, Any], method: SearchMethod) -> list[list[float]]:
+        line = json.dumps(asked).encode() + b"\n"
+        problem = ""
+        for _ in range(2):
+            try:
+                answer = self._exchange(line)
+            except (OSError, EOFError, ValueError):
+                problem = self._ended()
+                continue
+            if "found" in answer:
+                return list(answer["found"])
+            problem = answer["problem"]
+            self.close()
+        raise SystemFault(f"the sampler {method}: no proposal for trial {asked['number']}: {problem}")
+
+    def _exchange(self, line: bytes) -> dict[str, Any]:
+        """Return the process's answer.
+
+        Raises:
+            OSError, EOFError, ValueError: it ended, or stood still.
+        """
+        if self._process is None:
+            self._process = subprocess.Popen(
+                # -P: a json.py in the user's working folder is none of ours.
+                [sys.executable, "-P", "-m", "slamhive.sampling"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                env=os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+            )
+        stdin, stdout = self._process.stdin, self._process.stdout
+        if stdin is None or stdout is None:
+            raise EOFError
+        stdin.write(line)
+        stdin.flush()
+        if not select.select([stdout], [], [], WALL_SECONDS)[0]:
+            raise EOFError
+        answer = json.loads(stdout.readline())
+        return dict(answer)
+
+    def _ended(self) -> str:
+        """Let go of a process that ended or stands still, and return a word why."""
+        process = self._process
+        if process is None:
+            return "it can't be started"
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(1)
+        code = process.returncode
+        self.close()
+        if code is None:
+            return f"no answer within {WALL_SECONDS:g} s"
+        if code == -signal.SIGXCPU:
+            return f"it takes more than {CPU_SECONDS} s of processor time"
+        return f"its process ended ({code})"
+
+
+def _untried(space: SearchSpace, tried: set[str], seed: Sequence[int]) -> list[Any] | None:
+    """Return an untried setting of a space that has an end, at random by the seed; None without one."""
+    if space.size is None:
+        return None
+    values = [
+        axis.dimension.values
+        if axis.ends is None
+        else range(math.ceil(axis.ends[0]), math.floor(axis.ends[1]) + 1)
+        for axis in space.axes
+    ]
+    rng = np.random.default_rng([*seed, _TRIES + 1])
+    at, stride = int(rng.integers(space.size)), int(rng.integers(1, max(2, space.size)))
+    while math.gcd(stride, space.size) > 1:
+        stride += 1
+    for _ in range(space.size):
+        rest, setting = at, []
+        for choices in values:
+            rest, place = divmod(rest, len(choices))
+            setting.append(choices[place])
+        if space.key(setting) not in tried:
+            return setting
+        at = (at + stride) % space.size
+    return None

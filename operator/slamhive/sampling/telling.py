@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Words between the sampler and its process: axes, settings and results as plain numbers.
+
+The process knows no names: of an axis it is told its kind and its ends, of a value its place or its number.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from slamhive.engine import TrialStanding
+    from slamhive.model.search import Search, Trial
+    from slamhive.plan.searching import SearchedAxis, SearchSpace
+
+MOST_STEPS = 64
+"""Steps of a search at most: each has at least twice the runs of the one before."""
+
+
+def axis_told(axis: SearchedAxis) -> dict[str, Any]:
+    """Return an axis as the process is told it."""
+    if axis.ends is None:
+        numbers = axis.numbers
+        kind = "choice" if numbers is None else "integer"
+        return {"kind": kind, "low": 0, "high": len(axis.dimension.values) - 1, "log": False}
+    low, high = axis.ends
+    if axis.is_integer:
+        return {"kind": "integer", "low": math.ceil(low), "high": math.floor(high), "log": axis.is_log}
+    return {"kind": "real", "low": low, "high": high, "log": axis.is_log}
+
+
+def value_told(axis: SearchedAxis, value: Any) -> Any:
+    """Return a value as the process is told it: its number, or its place among those of the axis."""
+    if axis.ends is not None:
+        return value
+    place = axis.step(value)
+    return place if axis.numbers is None else _sorted_places(axis).index(place)
+
+
+def value_meant(axis: SearchedAxis, told: float) -> Any:
+    """Return the value that the process proposes."""
+    if axis.ends is not None:
+        low, high = axis.ends
+        return int(told) if axis.is_integer else min(max(float(told), low), high)
+    place = int(told)
+    return axis.dimension.values[place if axis.numbers is None else _sorted_places(axis)[place]]
+
+
+def _sorted_places(axis: SearchedAxis) -> list[int]:
+    """Return the places of numbers by size: a search may rely on neighbours being alike."""
+    numbers = axis.numbers or []
+    return sorted(range(len(numbers)), key=numbers.__getitem__)
+
+
+def question(
+    search: Search,
+    space: SearchSpace,
+    trials: Sequence[Trial],
+    standings: Sequence[TrialStanding],
+    told: int,
+) -> dict[str, Any]:
+    """Return what the process is asked for the next trial.
+
+    Args:
+        search: its settings.
+        space: what can be tried.
+        trials: all trials so far.
+        standings: where each stands.
+        told: the results of all trials below are told; the others are under way, however far they are.
+    """
+    by_number = {standing.number: standing for standing in standings}
+    return {
+        "method": search.method.value,
+        "seed": search.seed,
+        "number": len(trials),
+        "objectives": len(search.objectives),
+        "conditional": False,
+        "axes": [axis_told(axis) for axis in space.axes],
+        "trials": [
+            {
+                "values": [
+                    value_told(axis, value) for axis, value in zip(space.axes, trial.values, strict=True)
+                ],
+                "told": trial.told,
+            }
+            | (result_told(by_number, number) if number < told else {"state": "running"})
+            for number, trial in enumerate(trials)
+        ],
+    }
+
+
+def result_told(standings: Mapping[int, TrialStanding], number: int) -> dict[str, Any]:
+    """Return a trial's result: its figures, and how much of a failure it is.
+
+    A failed run is the worst there is, never missing. A setting that was dropped has figures of other runs
+    than one with all, so it ranks behind these: by the steps that it lacks, then by how many were better.
+    """
+    standing = standings.get(number)
+    if standing is None or standing.score is None:
+        return {"state": "unknown"}  # the machine failed: nothing is known of the setting
+    steps = len(standing.scores)
+    return {
+        "state": "known",
+        "figures": [value if math.isfinite(value) else None for value in standing.score.values],
+        "failed": standing.score.failed,
+        "lacking": 0.0 if standing.is_complete else MOST_STEPS - steps + standing.behind,
+    }
