@@ -19,7 +19,8 @@ from slamhive.analysis.importance import explained
 from slamhive.analysis.searching import rows_seen
 from slamhive.analysis.selection import first_rows
 from slamhive.analysis.statistics import average_ranks
-from slamhive.engine import best_of, decide_search
+from slamhive.engine import best_of
+from slamhive.engine.deciding import decide
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.base import API_VERSION
 from slamhive.model.dataset import Dataset
@@ -315,8 +316,8 @@ def tell(plan: SearchPlan, told: SearchRecord | None, frame: Frame) -> SearchSto
     runs = frame.select(first_rows(frame))
     done = where_equal(runs, "phase", Phase.SUCCEEDED) | where_equal(runs, "phase", Phase.FAILED)
     ended = _Ended.of(runs.select(done & runs.column("index").present), search, block * len(plan.trials))
-    decision = decide_search(search, plan.space, plan.trials, ended.seen, plan.most_trials)
-    best = {one.number for one in best_of(decision.standings)}
+    decision = decide(search, plan, ended.seen)
+    best = {one.number for one in best_of(decision.standings)} if search.objectives else set()
     trials = tuple(_tried(plan, standing, ended, standing.number in best) for standing in decision.standings)
     influences, compared = _influences(plan, trials)
     to_come, expected = _to_come(plan, decision, trials)
@@ -423,7 +424,7 @@ def _history(standings: Sequence[TrialStanding], trials: Sequence[TriedSetting])
     scored = [
         (trials[one.number].at, one.number, one.score)
         for one in standings
-        if one.is_complete and one.score is not None and one.score.failed < 1
+        if one.score is not None and one.score.values and one.is_complete and one.score.failed < 1
     ]
     front: list[tuple[int, Score]] = []
     steps: list[SearchStep] = []
@@ -446,7 +447,7 @@ def _influences(plan: SearchPlan, trials: Sequence[TriedSetting]) -> tuple[tuple
     order, failed ones last, as errors of failed runs are worse than any and have no size; the share is ε²
     of these ranks (Kruskal and Wallis 1952, Kelley 1935).
     """
-    judged = [trial for trial in trials if trial.first is not None]
+    judged = [trial for trial in trials if trial.first is not None and trial.first.values]
     if len(judged) < LEAST_TRIALS:
         return (), len(judged)
     failed = np.array([trial.first.failed for trial in judged if trial.first is not None])

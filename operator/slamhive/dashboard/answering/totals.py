@@ -79,6 +79,8 @@ def total(record: SweepRecord) -> int | None:
     try:
         body: dict[str, Any] = {"apiVersion": API_VERSION, "kind": "Sweep", "metadata": {"name": record.name}}
         sweep = Sweep.model_validate(body | {"spec": record.spec})
+        if sweep.spec.search.is_search:
+            return None  # that follows from results
         return len(Plan(sweep, FixedCatalog(), strict=False))
     except (SlamHiveError, ValueError, KeyError, TypeError):
         return None
