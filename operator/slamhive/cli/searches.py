@@ -43,7 +43,7 @@ def show_search(
 
     Example: slamhive search show tune
     """
-    with _told(name) as (record, story, _, _):
+    with told(name) as (record, story, _, _):
         if as_json:
             write_json(sys.stdout, [{"sweep": record.name, "uid": record.uid} | story.as_json()])
             return
@@ -78,7 +78,7 @@ def best(
 
     if repetitions is not None and not sweep:
         raise InputError("--repetitions: means nothing without --sweep")
-    with _told(name) as (record, story, archive, frame):
+    with told(name) as (record, story, archive, frame):
         trial = _chosen(record, story, number)
         uid = uid_of_run(frame, record.uid, trial.number * story.block)
         run = None if uid is None else archive.get(uid)
@@ -104,7 +104,12 @@ def best(
 
 
 @contextmanager
-def _told(name: str) -> Iterator[tuple[SweepRecord, SearchStory, Archive, Frame]]:
+def told(name: str) -> Iterator[tuple[SweepRecord, SearchStory, Archive, Frame]]:
+    """Read a search by the name of its sweep.
+
+    Raises:
+        InputError: none is called so, several are, or it can't be read.
+    """
     from slamhive.archive import Archive
     from slamhive.local.home.sweeping import sweeps_meant
     from slamhive.tables.reading import read_table
@@ -172,6 +177,8 @@ def _table(story: SearchStory) -> tuple[list[str], list[list[str]]]:
             _short(value) if isinstance(value, float) else key_text(value) for value in one.values.values()
         ]
         figures = [metric.show(value) for metric, value in zip(metrics, one.figures, strict=True)]
+        if not one.is_complete:  # of fewer runs, so beside the others it says little
+            figures = [text if text == "–" else f"({text})" for text in figures]
         failed = "–" if one.failed is None else f"{round(one.failed * one.judged)} of {one.judged}"
         stands = f"{one.state}, known" if one.origin == "Known" else one.state
         lines.append(

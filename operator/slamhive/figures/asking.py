@@ -44,6 +44,7 @@ class FigureKind(Choice):
     USAGE = "usage"
     ECDF = "ecdf"
     REPETITIONS = "repetitions"
+    SEARCH = "search"
 
     @property
     def is_of_files(self) -> bool:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from slamhive.analysis.metrics import title_of
 from slamhive.archive.records import SweepRecord
 from slamhive.dashboard.answering.encoding import Body
 from slamhive.dashboard.answers.catalog import single
@@ -71,7 +72,7 @@ def search(snapshot: Snapshot, known: SearchMaterial, name: str, namespace: str 
     content = story.as_json() | {
         "revision": snapshot.revision,
         "metrics": [heading(snapshot.frame, metric, metrics) for metric in metrics],
-        "titles": [heading(snapshot.frame, label, labels)["title"] for label in labels],
+        "titles": [title_of(label, among=labels) for label in labels],
     }
     return Body(content, lambda: _columns(story))
 

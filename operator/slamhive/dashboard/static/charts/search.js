@@ -193,6 +193,17 @@ export function growingFront(data) {
 }
 
 /**
+ * Return an axis that reaches as far as its values do.
+ * @param {number[]} values
+ * @param {boolean} log
+ */
+function endsOf(values, log) {
+  const [low, high] = [Math.min(...values), Math.max(...values)];
+  if (!(log && low > 0 && high > low)) return { type: 'value', scale: true };
+  return { type: 'log', min: low, max: high, axisLabel: { formatter: (/** @type {number} */ value) => number(value, 2) } };
+}
+
+/**
  * Return the chart of all settings, a line each over the axes, coloured by one objective; dropped ones faint.
  * @param {Api.Search} data
  * @param {number} objective
@@ -216,7 +227,7 @@ export function settingLines(data, objective, down = false) {
       texts,
       axis: texts
         ? { dim, name, type: 'category', data: texts.map((text) => clip(text, 18)) }
-        : { dim, name, type: log && values.every((value) => value > 0) ? 'log' : 'value', scale: true },
+        : { dim, name, ...endsOf(values, log) },
     };
   });
   const figures = data.metrics.map((metric, at) => ({

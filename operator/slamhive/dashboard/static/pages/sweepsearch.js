@@ -10,6 +10,8 @@ import { Fault, Table, Waiting } from '../core/parts.js';
 import { html, useMemo, useState } from '../core/ui.js';
 
 const MOST_ROWS = 100;
+/** States of settings that have all their runs. */
+const COMPLETE = ['best', 'all runs'];
 const RANKS = ['best', 'all runs', 'under way', 'dropped'];
 
 /**
@@ -164,6 +166,7 @@ function Trials({ data, table }) {
   const [sort, setSort] = useState('');
   const rows = useMemo(() => sorted(table.rows, sort), [table, sort]);
   return html`
+    <p class="quiet">In brackets: of fewer runs than all, and so not to be held against others.</p>
     <h3>Settings <span class="quiet">${number(data.trials.length)}</span></h3>
     <${Table}
       columns=${table.columns}
@@ -190,7 +193,12 @@ function columnsOf(data) {
   const columns = [
     { name: 'number', title: 'setting', show: (value) => String(value) },
     { name: 'state', title: 'stands', show: (value) => html`<span class=${`status ${kindOf(value)}`}>${value}</span>` },
-    ...data.metrics.map((metric, at) => ({ ...metric, name: `figure${at}` })),
+    ...data.metrics.map((metric, at) => ({
+      ...metric,
+      name: `figure${at}`,
+      show: (/** @type {any} */ value, /** @type {any} */ row) =>
+        value === null || COMPLETE.includes(row.state) ? cell(value, metric) : `(${cell(value, metric)})`,
+    })),
     ...data.axes.map(({ label }, at) => ({
       name: `value${at}`,
       title: data.titles[at],
