@@ -11,6 +11,7 @@ import numpy as np
 from slamhive.analysis.metrics import Metric
 from slamhive.figures.pictures import Dots, Line, Panel, Picture, PictureAxis
 from slamhive.model.errors import InputError
+from slamhive.model.search import Goal
 from slamhive.tables.text import as_columns
 
 if TYPE_CHECKING:
@@ -56,11 +57,12 @@ def search(story: SearchStory, wish: Wish) -> Picture:
         notes.append("figures of dropped settings are not of all datasets and so not drawn")
     if not story.is_over:
         notes.append("the search goes on")
+    rest = "without a figure" if len(story.contexts) > 1 else "dropped"
     return Picture(
         x=PictureAxis(axes[0], wish.log.of("x") if len(metrics) > 1 else False, robust=False),
         y=PictureAxis(axes[1], wish.log.of("y"), robust=wish.robust),
         panels=(Panel("", tuple(marks)),),
-        series=("best so far" if len(metrics) == 1 else "best", "all runs", "dropped"),
+        series=("best so far" if len(metrics) == 1 else "best", "all runs", rest),
         notes=tuple(notes),
         columns=as_columns([_row(story, trial) for trial in story.trials]),
         runs=story.ended,
@@ -95,9 +97,14 @@ def _front(story: SearchStory, metrics: list[Metric]) -> tuple[list[Mark], tuple
     rest = [place for number, place in places.items() if number not in story.best]
     best = sorted(places[number] for number in story.best)
     corners = np.array(best)
-    marks: list[Mark] = [*_dots(_COMPLETE, rest, hollow=True), Line(-1, *corners.T, steps=True)]
+    marks: list[Mark] = [*_dots(_COMPLETE, rest, hollow=True), Line(-1, *corners.T, steps=_is_small(story))]
     marks += _dots(_BEST, best, hollow=False, small=False)
     return marks, (metrics[0].label, metrics[1].label)
+
+
+def _is_small(story: SearchStory) -> bool:
+    """Tell whether small is good of both: then what is better lies below and left of the steps."""
+    return all(objective.goal is Goal.MINIMIZE for objective in story.search.objectives)
 
 
 def _dots(series: int, places: list[tuple[float, ...]], *, hollow: bool, small: bool = True) -> list[Mark]:

@@ -147,6 +147,7 @@ export function growingFront(data) {
   if (!known.length) return null;
   const places = [...new Set([1, 2, 3].map((part) => Math.ceil((data.history.length * part) / MOST_FRONTS) - 1))];
   const fronts = places.filter((place) => place >= 0).map((place) => data.history[place]);
+  const small = data.objectives.every(({ goal }) => goal === 'Minimize');
   /** @param {Api.Trial} trial */
   const point = (trial) => ({ value: [figure(data, trial, 0), figure(data, trial, 1)], trial });
   const axes = [0, 1].map((at) => ({
@@ -180,7 +181,7 @@ export function growingFront(data) {
         return {
           name: `after ${front.runs} runs`,
           type: 'line',
-          step: 'end',
+          step: small && 'end',
           symbol: last ? 'circle' : 'none',
           symbolSize: 9,
           lineStyle: { width: last ? 2.5 : 1.5, color: colour, opacity: last ? 1 : 0.7 },
