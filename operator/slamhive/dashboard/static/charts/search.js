@@ -46,11 +46,11 @@ export function trialText(data, trial) {
   const figures = data.metrics.map(
     (metric, at) => `${metric.title} ${trial.figures[at] === null ? '–' : cell(trial.figures[at], metric)}`,
   );
-  const failed = trial.failed ? [`${Math.round(trial.failed * trial.judged)} of ${trial.judged} runs failed`] : [];
+  const count = Math.round((trial.failed ?? 0) * trial.judged);
+  const failed = count ? [`${count} of ${trial.judged} runs failed`] : [];
   const why = trial.dropped ? [clip(trial.dropped, 120)] : [];
-  return [`setting ${trial.number}: ${trial.state}`, ...figures, ...failed, ...why, settingText(data, trial)].join(
-    '\n',
-  );
+  const first = `setting ${trial.number}: ${trial.state}`;
+  return [first, ...figures, ...failed, ...why, settingText(data, trial)].join('\n');
 }
 
 /**
@@ -75,7 +75,8 @@ export function bestSoFar(data) {
     step.runs,
     figure(data, data.trials[step.best[0]], 0),
   ]);
-  if (curve.length) curve.push([Math.max(data.computed, Number(curve[curve.length - 1][0])), curve[curve.length - 1][1]]);
+  const last = curve[curve.length - 1];
+  if (last) curve.push([Math.max(data.computed, Number(last[0])), last[1]]);
   const beside = comparable(data) ? rest.filter((trial) => trial.figures[0] !== null) : [];
   const [lost, dropped] = [
     [...complete, ...rest].filter((trial) => trial.figures[0] === null),
@@ -145,7 +146,8 @@ export function growingFront(data) {
   const complete = data.trials.filter((trial) => trial.state === 'all runs' || trial.state === 'best');
   const known = complete.filter((trial) => trial.figures.every((value) => value !== null));
   if (!known.length) return null;
-  const places = [...new Set([1, 2, 3].map((part) => Math.ceil((data.history.length * part) / MOST_FRONTS) - 1))];
+  const parts = [1, 2, 3].map((part) => Math.ceil((data.history.length * part) / MOST_FRONTS) - 1);
+  const places = [...new Set(parts)];
   const fronts = places.filter((place) => place >= 0).map((place) => data.history[place]);
   const small = data.objectives.every(({ goal }) => goal === 'Minimize');
   /** @param {Api.Trial} trial */
@@ -201,7 +203,8 @@ export function growingFront(data) {
 function endsOf(values, log) {
   const [low, high] = [Math.min(...values), Math.max(...values)];
   if (!(log && low > 0 && high > low)) return { type: 'value', scale: true };
-  return { type: 'log', min: low, max: high, axisLabel: { formatter: (/** @type {number} */ value) => number(value, 2) } };
+  const formatter = (/** @type {number} */ value) => number(value, 2);
+  return { type: 'log', min: low, max: high, axisLabel: { formatter } };
 }
 
 /**
@@ -241,7 +244,7 @@ export function settingLines(data, objective, down = false) {
   const line = (trial) => {
     const rank = ranks.get(trial.number);
     const best = trial.state === 'best';
-    const colour = best ? COLOURS[4] : rank === undefined ? FAINT : ramp(1 - rank);
+    const colour = best ? COLOURS[4] : rank === undefined ? FAINT : ramp(rank);
     return {
       trial,
       value: [

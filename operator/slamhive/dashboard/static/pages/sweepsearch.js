@@ -79,7 +79,7 @@ function Told({ data, url }) {
           table=${table}
         />
         <p class="quiet">
-          A line is a setting; the darker, the better its ${clip(data.metrics[0].title, 40)} among those with
+          A line is a setting; the lighter, the better its ${clip(data.metrics[0].title, 40)} among those with
           all runs; bold: the best. Faint: dropped, failed, or under way.
         </p>
       `
@@ -105,7 +105,8 @@ function sentence(data) {
 
 /** @param {Api.Search} data */
 const toCome = (data) =>
-  `To come: about ${number(data.expected)} runs by what a setting took so far, at most ${number(data.toCome)}` +
+  `To come: about ${number(data.expected)} runs by what a setting took so far, ` +
+  `at most ${number(data.toCome)}` +
   `${data.secondsLeft === null ? '' : `; about ${duration(data.secondsLeft)} at the pace so far`}.`;
 
 /** @param {number} seconds */
@@ -166,8 +167,10 @@ function Trials({ data, table }) {
   const [sort, setSort] = useState('');
   const rows = useMemo(() => sorted(table.rows, sort), [table, sort]);
   return html`
-    <p class="quiet">In brackets: of fewer runs than all, and so not to be held against others.</p>
     <h3>Settings <span class="quiet">${number(data.trials.length)}</span></h3>
+    <p class="quiet">
+      In brackets: of fewer runs than all, and so not to be held against others.
+    </p>
     <${Table}
       columns=${table.columns}
       rows=${rows.slice(0, MOST_ROWS)}
@@ -192,7 +195,11 @@ function columnsOf(data) {
   /** @type {TableColumn[]} */
   const columns = [
     { name: 'number', title: 'setting', show: (value) => String(value) },
-    { name: 'state', title: 'stands', show: (value) => html`<span class=${`status ${kindOf(value)}`}>${value}</span>` },
+    {
+      name: 'state',
+      title: 'stands',
+      show: (value) => html`<span class=${`status ${kindOf(value)}`}>${value}</span>`,
+    },
     ...data.metrics.map((metric, at) => ({
       ...metric,
       name: `figure${at}`,
@@ -241,7 +248,8 @@ function rowsOf(data) {
 function sorted(rows, sort) {
   if (!sort) return rows;
   const [name, sign] = sort.startsWith('-') ? [sort.slice(1), -1] : [sort, 1];
-  const [known, missing] = [rows.filter((row) => row[name] !== null), rows.filter((row) => row[name] === null)];
+  const known = rows.filter((row) => row[name] !== null);
+  const missing = rows.filter((row) => row[name] === null);
   known.sort((a, b) => sign * (a[name] < b[name] ? -1 : a[name] > b[name] ? 1 : 0));
   return [...known, ...missing];
 }
