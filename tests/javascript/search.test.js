@@ -102,10 +102,7 @@ test('figures of fewer datasets have no place on the axis of all', () => {
 });
 
 test('before a setting has all its runs there is no curve, and before a run ended nothing', () => {
-  assert.deepEqual(
-    named(bestSoFar(search([trial(0, 'dropped', [0.4], 2)], [])), 'best so far').data,
-    [],
-  );
+  assert.deepEqual(named(bestSoFar(search([trial(0, 'dropped', [0.4], 2)], [])), 'best so far').data, []);
   assert.equal(bestSoFar(search([trial(0, 'under way', [null], 0)], [])), null);
   assert.equal(growingFront(search([trial(0, 'dropped', [1, 1], 2)], [])), null);
 });

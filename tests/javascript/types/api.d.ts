@@ -419,7 +419,7 @@ declare namespace Api {
     dropped: string | null;
     at: number;
   };
-  type Search = {
+  type SweepSearch = {
     method: string;
     objectives: Array<{ metric: string; goal: string }>;
     metrics: Heading[];

@@ -10,11 +10,11 @@ const FAINT = '#8a929c';
 const STEEP = 20;
 const MOST_FRONTS = 3;
 
-/** @param {Api.Search} data @param {number} objective @param {number|null|undefined} value */
+/** @param {Api.SweepSearch} data @param {number} objective @param {number|null|undefined} value */
 const shown = (data, objective, value) =>
   value === null || value === undefined ? null : value * (data.metrics[objective].factor ?? 1);
 
-/** @param {Api.Search} data @param {Api.Trial} trial @param {number} objective */
+/** @param {Api.SweepSearch} data @param {Api.Trial} trial @param {number} objective */
 const figure = (data, trial, objective) => shown(data, objective, trial.figures[objective]);
 
 /** @param {Array<number|null>} values */
@@ -26,7 +26,7 @@ const steep = (values) => {
 
 /**
  * Return a setting as a text of few words.
- * @param {Api.Search} data
+ * @param {Api.SweepSearch} data
  * @param {Api.Trial} trial
  */
 export const settingText = (data, trial) =>
@@ -39,7 +39,7 @@ const valueText = (value) => (typeof value === 'number' ? number(value) : cell(v
 
 /**
  * Return what is said of a setting where the pointer is.
- * @param {Api.Search} data
+ * @param {Api.SweepSearch} data
  * @param {Api.Trial} trial
  */
 export function trialText(data, trial) {
@@ -56,13 +56,13 @@ export function trialText(data, trial) {
 /**
  * Tell whether figures of settings that were dropped may stand on the axis of those with all runs: with
  * several datasets they are of the first ones alone.
- * @param {Api.Search} data
+ * @param {Api.SweepSearch} data
  */
 const comparable = (data) => data.contexts.length < 2;
 
 /**
  * Return the chart of the best so far over the runs that were computed; null where there is none yet.
- * @param {Api.Search} data with one objective
+ * @param {Api.SweepSearch} data with one objective
  */
 export function bestSoFar(data) {
   const trials = data.trials.filter((trial) => trial.runs > 0);
@@ -71,10 +71,7 @@ export function bestSoFar(data) {
   const point = (trial, at) => ({ value: [trial.at, at], trial });
   const complete = trials.filter((trial) => trial.state === 'all runs' || trial.state === 'best');
   const rest = trials.filter((trial) => trial.state === 'dropped');
-  const curve = data.history.map((step) => [
-    step.runs,
-    figure(data, data.trials[step.best[0]], 0),
-  ]);
+  const curve = data.history.map((step) => [step.runs, figure(data, data.trials[step.best[0]], 0)]);
   const last = curve[curve.length - 1];
   if (last) curve.push([Math.max(data.computed, Number(last[0])), last[1]]);
   const beside = comparable(data) ? rest.filter((trial) => trial.figures[0] !== null) : [];
@@ -140,7 +137,7 @@ export function bestSoFar(data) {
 
 /**
  * Return the chart of the front between two objectives, and how it grew.
- * @param {Api.Search} data with two objectives
+ * @param {Api.SweepSearch} data with two objectives
  */
 export function growingFront(data) {
   const complete = data.trials.filter((trial) => trial.state === 'all runs' || trial.state === 'best');
@@ -209,7 +206,7 @@ function endsOf(values, log) {
 
 /**
  * Return the chart of all settings, a line each over the axes, coloured by one objective; dropped ones faint.
- * @param {Api.Search} data
+ * @param {Api.SweepSearch} data
  * @param {number} objective
  * @param {boolean} [down] whether axes lie below each other, as a phone has room for
  */
@@ -260,10 +257,7 @@ export function settingLines(data, objective, down = false) {
       },
     };
   };
-  const items = [
-    ...trials.filter((trial) => !ranks.has(trial.number)),
-    ...[...order].reverse(),
-  ].map(line);
+  const items = [...trials.filter((trial) => !ranks.has(trial.number)), ...[...order].reverse()].map(line);
   return {
     parallel: {
       layout: down ? 'vertical' : 'horizontal',

@@ -110,10 +110,7 @@ function One({ name, namespace }) {
         </p>
       </section>
       <${Conditions} conditions=${sweep.conditions} />
-      ${
-        sweep.search &&
-        html`<${SearchSection} url=${sweepAddress(name, namespace, '/api/v1', '/search')} />`
-      }
+      ${sweep.search && html`<${SearchSection} url=${sweepAddress(name, namespace, '/api/v1', '/search')} />`}
       ${
         finished === 0 &&
         html`

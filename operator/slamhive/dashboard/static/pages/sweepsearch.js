@@ -19,7 +19,7 @@ const RANKS = ['best', 'all runs', 'under way', 'dropped'];
  * @param {{url: string}} props url: of the answer
  */
 export function SearchSection({ url }) {
-  /** @type {Loading<Api.Search>} */
+  /** @type {Loading<Api.SweepSearch>} */
   const { data, error } = useData(url);
   return html`
     <section aria-label="Search">
@@ -30,7 +30,7 @@ export function SearchSection({ url }) {
   `;
 }
 
-/** @param {{data: Api.Search, url: string}} props */
+/** @param {{data: Api.SweepSearch, url: string}} props */
 function Told({ data, url }) {
   const narrow = useNarrow();
   const csv = csvOf(url);
@@ -89,7 +89,7 @@ function Told({ data, url }) {
   `;
 }
 
-/** @param {Api.Search} data */
+/** @param {Api.SweepSearch} data */
 function sentence(data) {
   const goals = data.objectives
     .map(({ goal }, at) => `${clip(data.metrics[at].title, 60)} ${goal === 'Maximize' ? 'large' : 'small'}`)
@@ -103,7 +103,7 @@ function sentence(data) {
   `;
 }
 
-/** @param {Api.Search} data */
+/** @param {Api.SweepSearch} data */
 const toCome = (data) =>
   `To come: about ${number(data.expected)} runs by what a setting took so far, ` +
   `at most ${number(data.toCome)}` +
@@ -117,7 +117,7 @@ const duration = (seconds) =>
       ? `${Math.round(seconds / 60)} min`
       : `${number(seconds / 3600, 2)} h`;
 
-/** @param {{data: Api.Search, csv: string}} props */
+/** @param {{data: Api.SweepSearch, csv: string}} props */
 function Matters({ data, csv }) {
   if (!data.influences.length)
     return html`
@@ -162,7 +162,7 @@ function Matters({ data, csv }) {
   `;
 }
 
-/** @param {{data: Api.Search, table: TableData}} props */
+/** @param {{data: Api.SweepSearch, table: TableData}} props */
 function Trials({ data, table }) {
   const [sort, setSort] = useState('');
   const rows = useMemo(() => sorted(table.rows, sort), [table, sort]);
@@ -190,7 +190,7 @@ function Trials({ data, table }) {
   `;
 }
 
-/** @param {Api.Search} data */
+/** @param {Api.SweepSearch} data */
 function columnsOf(data) {
   /** @type {TableColumn[]} */
   const columns = [
@@ -206,7 +206,7 @@ function columnsOf(data) {
       show: (/** @type {any} */ value, /** @type {any} */ row) =>
         value === null || COMPLETE.includes(row.state) ? cell(value, metric) : `(${cell(value, metric)})`,
     })),
-    ...data.axes.map(({ label }, at) => ({
+    ...data.axes.map((_, at) => ({
       name: `value${at}`,
       title: data.titles[at],
       show: (/** @type {any} */ value) => (typeof value === 'number' ? number(value) : clip(cell(value), 40)),
@@ -227,7 +227,7 @@ function columnsOf(data) {
 /** @param {string} state */
 const kindOf = (state) => ({ best: 'good', 'all runs': 'plain', 'under way': 'live' })[state] ?? 'fair';
 
-/** @param {Api.Search} data */
+/** @param {Api.SweepSearch} data */
 function rowsOf(data) {
   const sign = data.objectives[0]?.goal === 'Maximize' ? -1 : 1;
   const rows = data.trials.map((trial) => ({
