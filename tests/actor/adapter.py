@@ -103,6 +103,15 @@ def settings() -> None:
     good()
 
 
+def scored() -> None:
+    """Have a score, which is best at the number 7; above 20 there is none."""
+    at = int(number.group(1)) if number else 0
+    if at > 20:
+        crash()
+    (run / "output" / "metrics.json").write_text(json.dumps({"score": (at - 7) ** 2}))
+    good()
+
+
 def note(event: str) -> None:
     """Add a line to the home's journal: an account of attempts that no part of slamhive keeps."""
     words = {
@@ -145,6 +154,7 @@ ACTS: dict[str, Callable[[], object]] = {
     "log": log,
     "configuration": configuration,
     "settings": settings,
+    "scored": scored,
     "noted": noted,
 }
 ACTS[act.group(1) if act else "good"]()

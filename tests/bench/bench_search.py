@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Searches over grids of which every point is known: how near to the best one, by how many runs.
 
-search_grid.csv was recorded once, by `slamhive run` of the Sweep that is written there: kiss-icp, 200 settings on
-three synthetic datasets. The played grid of 80,000 runs is a formula, which is `played_error` below.
+search_grid.csv was recorded once, by `slamhive run` of the Sweep that is written there: kiss-icp, 200 settings
+on three synthetic datasets. The played grid of 80,000 runs is a formula, `played_error` below.
 
-Ours is `decide_search` with the sampler, as drivers use them. "Alone" is Optuna's TPE by its own study with the
-same number of trials, each of them run on all datasets. CPU seconds are those of the runs, as recorded.
+Ours is `decide_search` with the sampler, as drivers use them. "Alone" is Optuna's TPE by its own study with as
+many trials, each of them run on all datasets. CPU seconds are those of the runs, as recorded.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ import csv
 import math
 import random
 import statistics
-import sys
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import optuna
 
 from slamhive.engine import RunSeen, best_of, decide_search
-from slamhive.model.search import Trial
 from slamhive.model.sweep import Sweep
 from slamhive.plan import FixedCatalog, SearchPlan
-from slamhive.sampling import Sampler
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from slamhive.sampling import Sampler
 
 RECORDED = Path(__file__).with_name("search_grid.csv")
 SEEDS = range(20)
@@ -93,11 +93,11 @@ class Course:
 def search(grid: KnownGrid, sampler: Sampler, method: str, seed: int, trials: int, **fields: Any) -> Course:
     """Return the course of a search of ours."""
     matrix: list[dict[str, Any]] = [{"path": path, "values": values} for path, values in grid.axes.items()]
-    asked = {"method": method, "objectives": [{"metric": "ate.rmse"}], "trials": trials, "seed": seed} | fields
+    asked = {"method": method, "objectives": [{"metric": "ate.rmse"}], "trials": trials, "seed": seed}
     spec = {
         "template": {"spec": {"algorithmRef": {"name": "kiss-icp"}}},
         "matrix": [{"path": "dataset", "values": grid.datasets}, *matrix],
-        "search": asked,
+        "search": asked | fields,
     }
     head = {"apiVersion": "slamhive.io/v1alpha1", "kind": "Sweep", "metadata": {"name": "known"}}
     sweep = Sweep.model_validate(head | {"spec": spec})
@@ -133,7 +133,8 @@ def alone(grid: KnownGrid, seed: int, trials: int) -> Course:
     """Return the course of Optuna's TPE, each of whose trials is run on all datasets."""
     optuna.logging.set_verbosity(optuna.logging.CRITICAL)
     study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed))
-    space = {path: optuna.distributions.IntDistribution(0, len(values) - 1) for path, values in grid.axes.items()}
+    whole = optuna.distributions.IntDistribution
+    space = {path: whole(0, len(values) - 1) for path, values in grid.axes.items()}
     course = Course()
     for _ in range(trials):
         trial = study.ask(space)
@@ -177,9 +178,9 @@ def played() -> KnownGrid:
 
 
 def played_error(values: tuple[Any, ...], on: str) -> float | None:
-    """Return the error in metres: a bowl in the logarithms, a little elsewhere on each dataset; None: it failed.
+    """Return the error in metres, a bowl in the logarithms that is elsewhere on each dataset; None: it failed.
 
-    A run fails where the threshold is less than a quarter of the voxels, or voxels are greater than 1/40 of the
+    A run fails where the threshold is less than a quarter of the voxels, or these are greater than 1/20 of the
     range. Each run has 1 % of noise of its own.
     """
     voxel, reach, threshold, iterations = values

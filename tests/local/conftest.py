@@ -13,7 +13,7 @@ from slamhive.local.running.choosing import RunChoice
 from slamhive.local.running.runner import Job, Runner
 from slamhive.local.running.workbench import Workbench
 from slamhive.model.loading import load_file
-from slamhive.plan import Plan, local_uid
+from slamhive.plan import local_uid, plan_of
 
 from .running.sweeps import Notes, sweep_of
 
@@ -45,7 +45,7 @@ def run_sweep(bench: Workbench) -> Callable[..., tuple[Job, Notes]]:
     """Runs a sweep, and returns the job and what was told of it."""
 
     def run(sweep: Sweep, *, rerun: bool = False, parallelism: int = 2) -> tuple[Job, Notes]:
-        job = Job(sweep, local_uid(sweep), Plan(sweep, bench.workshop))
+        job = Job(sweep, local_uid(sweep), plan_of(sweep, bench.workshop))
         notes = Notes()
         Runner(bench, notes, parallelism=parallelism, wish=RunChoice(rerun=rerun)).run([job])
         return job, notes

@@ -102,6 +102,13 @@ def sampler() -> Any:
 
 
 @pytest.fixture(scope="session")
+def another() -> Any:
+    """Another sampler, which has been asked for nothing yet."""
+    with Sampler() as one:
+        yield one
+
+
+@pytest.fixture(scope="session")
 def played() -> type[PlayedSearch]:
     """The class of searches that end at once."""
     return PlayedSearch

@@ -3,11 +3,17 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import statistics
 from typing import Any
 
 import pytest
 
+from slamhive.engine import RunSeen
+from slamhive.model.errors import InputError, SystemFault
 from slamhive.sampling import Sampler
+from slamhive.sampling.telling import TrialsTold
 
 SAMPLED = ["Random", "Sobol", "TPE", "NSGA-II"]
 
@@ -23,10 +29,89 @@ def test_all_kinds_of_axes_are_searched_without_trying_a_setting_twice(
 
 
 @pytest.mark.parametrize("method", SAMPLED)
-def test_a_proposal_follows_from_what_was_told(method: str, played: Any, sampler: Sampler) -> None:
+def test_a_proposal_follows_from_what_was_told(
+    method: str, played: Any, sampler: Sampler, another: Sampler
+) -> None:
     search = played({"method": method}).go(sampler)
-    with Sampler() as another:
-        for number in (29, 3, 17):
-            assert search.propose(another, *search.asked[number]) == search.plan.trials[number]
-    other = played({"method": method, "seed": 1}).go(sampler)
-    assert other.plan.trials[20] != search.plan.trials[20]
+    for number in (29, 3, 17):
+        assert search.propose(another, *search.asked[number]) == search.plan.trials[number]
+    search.search = search.search.replace(seed=1)
+    assert search.propose(sampler, *search.asked[20]) != search.plan.trials[20]
+
+
+def test_the_process_that_was_killed_is_begun_anew_and_proposes_the_same(played: Any) -> None:
+    search = played({"method": "Random"})
+    with Sampler() as sampler:
+        first = search.propose(sampler, [], search.decide())
+        process = sampler._process
+        assert process is not None
+        os.kill(process.pid, signal.SIGKILL)
+        assert search.propose(sampler, [], search.decide()) == first
+        assert sampler._process is not process
+    assert sampler._process is None
+
+
+def test_a_process_that_ends_twice_is_a_fault_of_the_machine(
+    played: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.executable", "/bin/false")
+    search = played()
+    with (
+        Sampler() as sampler,
+        pytest.raises(SystemFault, match=r"the sampler TPE: no proposal for trial 0: .*ended"),
+    ):
+        search.propose(sampler, [], search.decide())
+
+
+def test_a_missing_library_is_named_with_the_line_that_installs_it(
+    played: Any, sampler: Sampler, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    search = played()
+    with pytest.raises(
+        InputError, match=r"spec.search.method: TPE needs the package optuna, .*\[search\]|install"
+    ):
+        search.propose(sampler, [], search.decide())
+
+
+def test_nothing_is_written_on_the_terminal(played: Any, capfd: pytest.CaptureFixture[str]) -> None:
+    with Sampler() as sampler:
+        played({"trials": 12, "atATime": 1}).go(sampler)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("method", ["TPE", "NSGA-II"])
+def test_a_region_that_always_fails_is_avoided(method: str, played: Any, sampler: Sampler) -> None:
+    def fails(values: dict[str, Any]) -> bool:
+        return values["parameters.voxelSize"] < 0.7
+
+    def play(values: dict[str, Any], _: int) -> RunSeen:
+        return (
+            RunSeen(has_failed=True) if fails(values) else RunSeen(values=(values["parameters.voxelSize"],))
+        )
+
+    plan = played({"method": method, "trials": 80}, play=play).go(sampler).plan
+    failed = [fails(plan.point(index).coordinates) for index in range(80)]
+    assert sum(failed[60:]) < 0.8 * 20 * statistics.fmean(failed[:20])
+
+
+def test_all_settings_of_a_small_space_are_tried_and_then_none(played: Any, sampler: Sampler) -> None:
+    axes = [
+        {"path": "parameters.a", "values": [1, 2, 3]},
+        {"path": "parameters.b", "values": ["x", "y"]},
+        {"path": "retries", "range": {"from": 1, "to": 3}},
+    ]
+    search = played({"trials": 100}, axes, play=lambda values, _: RunSeen(values=(values["parameters.a"],)))
+    assert len(search.go(sampler).plan.trials) == 18
+    assert search.propose(sampler, search.plan.trials, search.decide()) is None
+
+
+def test_runs_of_which_nothing_is_known_are_not_told(played: Any, sampler: Sampler) -> None:
+    search = played(
+        {"trials": 3, "atATime": 1}, play=lambda _, index: RunSeen(values=(1.0,) if index else None)
+    )
+    search.go(sampler)
+    told = TrialsTold(search.plan.space)
+    assert len(told.keys(search.plan.trials)) == 3
+    asked = told.question(search.search, search.decide().standings, 2)
+    assert [one["state"] for one in asked["trials"]] == ["unknown", "known", "running"]

@@ -273,6 +273,21 @@ def measure_of(column: str) -> Measure:
     return Measure(column, column, unit, short=column)
 
 
+def figures(rpe: int) -> list[str]:
+    """Return the columns of figures of which small or large is good, for an evaluation with so many RPEs."""
+    found: list[str] = []
+    for measure in _TABLE:
+        if measure.better is Better.NONE or measure.name.startswith(("segments", "relations.byTime")):
+            continue
+        names = [measure.name]
+        if "[]" in measure.name:
+            names = [measure.name.replace("[]", f"[{number}]") for number in range(rpe)]
+        for name in names:
+            stem = name.removesuffix("*")
+            found += [name] if stem == name else [f"{stem}{statistic}" for statistic in STATISTICS]
+    return list(dict.fromkeys(found))
+
+
 def _listed(column: str) -> Measure | None:
     """Return the measure of a column that has a row, of its own or of its kind; None where it has none."""
     kind = _NUMBER.sub("[]", column)

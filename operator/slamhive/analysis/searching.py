@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.flattening import DOCUMENTS, OF_RUN, TIMES, Results, columns_of_runs
 from slamhive.analysis.frame import Frame
+from slamhive.analysis.measures import BESIDE, CAUSAL, CONFIGURATION, figures
 from slamhive.analysis.selection import first_rows
 from slamhive.engine import RunSeen
-from slamhive.model.errors import InputError
+from slamhive.model.errors import InputError, suggestion
 from slamhive.model.results import Outcome, Phase, Reason
 from slamhive.model.search import SearchMethod
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
+    from slamhive.model.evaluation import EvaluationSettings
     from slamhive.model.results import RunRecord
     from slamhive.model.search import Search
 
@@ -26,6 +28,29 @@ def metrics_of(search: Search) -> list[str]:
     if search.method is SearchMethod.THRESHOLD:
         return [search.failing.metric] if search.failing.metric else []
     return [objective.metric for objective in search.objectives]
+
+
+def objective_problems(
+    search: Search, evaluation: EvaluationSettings, seen: Collection[str] = ()
+) -> list[str]:
+    """Return a sentence for each figure that a search decides by and that no evaluation yields.
+
+    Args:
+        search: what is asked.
+        evaluation: the Sweep's, which says how many relative errors there are.
+        seen: columns that results of the same algorithms have, such as those of another evaluator.
+    """
+    known = [*figures(len(evaluation.rpe)), *(one for one in seen if not one.startswith(CONFIGURATION))]
+    problems = []
+    for number, name in enumerate(metrics_of(search)):
+        threshold = search.method is SearchMethod.THRESHOLD
+        where = "spec.search.failing.metric" if threshold else f"spec.search.objectives[{number}].metric"
+        plain = BESIDE.sub(r"\2", name.removeprefix(CAUSAL))
+        if name.startswith(CONFIGURATION):
+            problems.append(f"{where}: {name} is a setting of runs, not a figure that they end with")
+        elif plain not in known and not name.startswith("metrics."):  # what a program writes has any name
+            problems.append(f"{where}: no evaluation yields {name!r}{suggestion(plain, known)}")
+    return problems
 
 
 def runs_seen(records: Mapping[int, RunRecord], search: Search) -> dict[int, RunSeen]:
@@ -90,6 +115,8 @@ def records_frame(records: Sequence[RunRecord]) -> Frame:
             runs[name] = [one[name] for one in plain]
         elif name in {"sensors", "repetition", "seed"}:
             runs[name] = [record.spec.get(name) for record in records]
+    for name in TIMES & runs.keys():
+        runs[name] = [getattr(record, name) for record in records]
     results = [(place, result) for place, record in enumerate(records) for result in record.results[:1]]
     return Frame(*columns_of_runs(runs, Results.of(results)))
 

@@ -17,6 +17,7 @@ from slamhive.archive.records import (
     Cost,
     EarlierRun,
     FinishedPoint,
+    ReusableRun,
     SweepRecord,
     Totals,
     catalog_row,
@@ -382,6 +383,12 @@ class Archive:
         """Return a run by its UID."""
         return next(self.runs({"uid": uid}), None)
 
+    def by_uids(self, uids: Iterable[str]) -> Iterator[RunRecord]:
+        """Return the runs of these UIDs; those that aren't there are no fault."""
+        iterator = iter(dict.fromkeys(uids))
+        while batch := list(islice(iterator, BATCH)):
+            yield from self.runs({"uid": batch})
+
     def by_names(self, names: Iterable[str]) -> list[RunRecord]:
         """Return the runs of these names in the order of being stored; a name may stand for several."""
         iterator = iter(dict.fromkeys(names))
@@ -477,6 +484,27 @@ class Archive:
         )
         with reading(self._engine) as connection:
             return set(connection.execute(query).scalars())
+
+    @patient
+    def reusable_runs(self, algorithms: Iterable[str], datasets: Iterable[str]) -> dict[str, ReusableRun]:
+        """Return the runs of some algorithms on some datasets that others may take over.
+
+        Returns:
+            By content hash; of equal ones the latest.
+        """
+        runs = schema.runs.c
+        query = (
+            select(runs.uid, runs.content_hash, runs.spec)
+            .where(
+                runs.algorithm.in_(list(algorithms)),
+                runs.dataset.in_(list(datasets)),
+                runs.content_hash.is_not(None),
+                *_may_be_taken_over(),
+            )
+            .order_by(runs.id)
+        )
+        found = self._some(query, lambda row: (row["content_hash"], ReusableRun(row["uid"], row["spec"])))
+        return dict(found)
 
     @patient
     def costs(

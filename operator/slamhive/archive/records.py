@@ -44,6 +44,18 @@ class SweepRecord(Model):
     search: SearchRecord | None = None
 
 
+class ReusableRun(NamedTuple):
+    """A run that others may take over.
+
+    Attributes:
+        uid: its identity.
+        spec: what it ran with.
+    """
+
+    uid: str
+    spec: dict[str, Any]
+
+
 class CatalogEntry(Model):
     """An Algorithm or Dataset as it was when a run used it."""
 

@@ -13,16 +13,18 @@ from slamhive.analysis.predicting import COVERED
 from slamhive.archive import Archive
 from slamhive.cli.parts import tables
 from slamhive.cli.parts.console import bytes_text, command_name, listing, out, plural
+from slamhive.cli.parts.searches import extent_text
 from slamhive.cli.parts.waiting import time_text
 from slamhive.local.programs.cores import cores_here
 from slamhive.local.running.costs import Knowledge
 from slamhive.local.running.forecast import Recordings, WantedSweep, forecast, recordings_needed
+from slamhive.local.running.likely import likely_runs
 from slamhive.local.running.outlook import MOST_LOOKED_UP, Looking, Outlook, RunStanding
 from slamhive.local.running.runner import run_uid
 from slamhive.local.running.workbench import Workbench
 from slamhive.model.errors import InputError, SlamHiveError, sentence
 from slamhive.monitor.measuring.machine import cpu_model
-from slamhive.plan import local_uid
+from slamhive.plan import SearchPlan, local_uid
 from slamhive.tables.homes import OWN, costs_together, homes_beside
 
 if TYPE_CHECKING:
@@ -93,8 +95,13 @@ def estimate(
     if as_json:
         tables.write_json(sys.stdout, [_document(told, found, knowledge)])
         return
-    total = sum(len(points) for _, points in plans)
-    out.print(f"{', '.join(sweep.name for sweep, _ in plans)}: {plural(total, 'run')}", markup=False)
+    total = sum(len(points) for _, points in plans if not isinstance(points, SearchPlan))
+    names_of = ", ".join(sweep.name for sweep, points in plans if not isinstance(points, SearchPlan))
+    if names_of:
+        out.print(f"{names_of}: {plural(total, 'run')}", markup=False)
+    for sweep, points in plans:
+        if isinstance(points, SearchPlan):
+            out.print(f"{sweep.name}: {extent_text(points)}", markup=False)
     if told.told:
         headings = ["what", "estimate", f"in {_SHARE} of cases", "from"]
         tables.show(out, headings, [_line(one, told) for one in told.told.values()])
@@ -138,14 +145,26 @@ def _found(
 ) -> _RunsToDo:
     """Return the runs to do: those that `slamhive run` would begin."""
     found = _RunsToDo()
-    outlooks = _outlooks(plans, workshop, home, found)
-    for (sweep, points), outlook in zip(plans, outlooks, strict=True):
+    orders: list[list[int] | None] = []
+    laid: list[tuple[Sweep, Plan]] = []
+    for sweep, points in plans:
+        plan, order = likely_runs(points) if isinstance(points, SearchPlan) else (points, None)
+        laid.append((sweep, plan))
+        orders.append(order)
+        if order is not None:
+            found.notes.append(
+                f"{sweep.name}: a search, of which {plural(len(order), 'run')} are likely; settings at "
+                "random stand for those that it will try"
+            )
+    outlooks = _outlooks(laid, workshop, home, found)
+    for (sweep, points), outlook, order in zip(laid, outlooks, orders, strict=True):
         standing = outlook.standing if outlook is not None else bytearray(len(points))
         twins = points.twins
         indices = []
         # Of very many runs it hardly matters which begins when, and to order them takes seconds.
         many = len(points) > MOST_LOOKED_UP
-        for index in range(len(points)) if many else points.start_order(look_first=True):
+        wanted = order if order is not None else None if many else points.start_order(look_first=True)
+        for index in range(len(points)) if wanted is None else wanted:
             if standing[index] in {RunStanding.DONE, RunStanding.FAILED}:
                 found.done += 1
             elif standing[index] == RunStanding.EQUAL or index in twins:

@@ -11,7 +11,7 @@ import typer
 from rich.markup import escape
 
 from slamhive.archive import Archive
-from slamhive.cli.parts import tables
+from slamhive.cli.parts import searches, tables
 from slamhive.cli.parts.checked import check_files
 from slamhive.cli.parts.choosing import Also
 from slamhive.cli.parts.console import bytes_text, out, plural, remark, warn
@@ -26,7 +26,8 @@ from slamhive.model.errors import InputError, SlamHiveError, sentence
 from slamhive.model.run import MappingRun
 from slamhive.model.sizes import apply_refused, size_refused
 from slamhive.model.sweep import Sweep
-from slamhive.plan import local_uid
+from slamhive.plan import SearchPlan, local_uid, probed
+from slamhive.sampling import require_sampler
 from slamhive.tables.text import short_name
 
 if TYPE_CHECKING:
@@ -60,6 +61,7 @@ def plan(
 ) -> None:
     """Show the runs that sweeps expand to, without running them, or what they will cost.
 
+    Of a search it says how much that may try, and shows the runs of what was tried so far.
     Names that are not in the catalog are allowed here; validate tells of them. An estimate comes from
     finished runs of the same algorithms, of this home and of those that --also names.
 
@@ -76,15 +78,17 @@ def plan(
     if not plans:
         raise InputError(f"{files[0]}: no Sweep or MappingRun in it")
     if count:
-        out.print(sum(len(points) for _, points in plans))
+        counts = (one.most_runs if isinstance(one, SearchPlan) else len(one) for _, one in plans)
+        out.print(sum(counts))
         return
     if not as_json:
         warn_impossible(plans, workshop)
         _remark_repaired(plans, workshop)
+    home = Home.from_environment()
+    searches.recall(plans, home)
     if estimate:
         from slamhive.cli import forecasting  # numbers, which nothing else of a plan needs
 
-        home = Home.from_environment()
         forecasting.estimate(plans, workshop, home, parallelism=parallelism, also=also, as_json=as_json)
         return
     for sweep, points in plans:
@@ -105,7 +109,12 @@ def validate(files: Files) -> None:
     workshop = load_workshop(Home.from_environment())
     checked = check_files(files, workshop)
     for sweep, points in checked.plans:
-        out.print(f"{sweep.kind} {escape(sweep.name)}: {plural(len(points), 'run')}")
+        out.print(f"{sweep.kind} {escape(sweep.name)}: {_extent(points)}")
+        if isinstance(points, SearchPlan):
+            try:
+                require_sampler(sweep.spec.search.method)
+            except InputError as error:
+                warn(f"{sweep.name} can't run here: {error}")
         warn_impossible([(sweep, points)], workshop)
         remark_without_effect(sweep, points)
     for item in checked.objects:
@@ -118,7 +127,7 @@ def validate(files: Files) -> None:
 
 def remark_without_effect(sweep: Sweep, points: Plan) -> None:
     """Say which settings have no effect on some of the recordings."""
-    for told in points.remarks():
+    for told in probed(points).remarks():
         remark(f"{sweep.name}: {told}")
 
 
@@ -138,7 +147,9 @@ def _print_outlooks(plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop) -> 
             looking = Looking(Workbench(home, workshop, archive), making=False)
             for sweep, points in plans:
                 job = Job(sweep, local_uid(sweep), points)
-                told = sentences(looking.look(sweep.name, job.uid, points, job.run_uid), points)
+                found = looking.look(sweep.name, job.uid, points, job.run_uid)
+                told = sentences(found, points, tells_new=job.search is None)
+                told = told or ["nothing of it was tried yet"]
                 out.print(f"{sweep.name}: {'; '.join(told)}", markup=False)
     except SlamHiveError as error:
         remark(f"what is stale can't be told: {sentence(error)}")
@@ -156,6 +167,11 @@ def _remark_repaired(plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop) ->
         remark(f"{name} is repaired: each prepared recording of it is written anew{room}")
 
 
+def _extent(points: Plan) -> str:
+    """Return how many runs there are, of a search how much it may try."""
+    return searches.extent_text(points) if isinstance(points, SearchPlan) else plural(len(points), "run")
+
+
 def _print_json(points: Plan, count: int) -> None:
     for index in range(count):
         point = points.point(index)
@@ -168,7 +184,7 @@ def _print_json(points: Plan, count: int) -> None:
 def _print_points(sweep: Sweep, points: Plan, count: int) -> None:
     first = [points.point(index) for index in range(count)]
     labels = list(dict.fromkeys(label for point in first for label in point.coordinates))
-    out.print(f"{sweep.name}: {plural(len(points), 'run')}", markup=False)
+    out.print(f"{sweep.name}: {_extent(points)}", markup=False)
     headings = ["index", "name", *(short_name(label, labels) for label in labels), "repetition", "seed"]
     lines = [
         [
@@ -178,7 +194,8 @@ def _print_points(sweep: Sweep, points: Plan, count: int) -> None:
         ]
         for point in first
     ]
-    tables.show(out, headings, lines)
+    if lines or not isinstance(points, SearchPlan):
+        tables.show(out, headings, lines)
     remark_without_effect(sweep, points)
     if count < len(points):
         out.print(f"… and {plural(len(points) - count, 'more run')} (--head N, --json)")

@@ -20,6 +20,7 @@ from slamhive.analysis.metrics import declared_units
 from slamhive.analysis.selection import Selection, choose
 from slamhive.cli.cluster.commands import Context, Namespace, cluster_client
 from slamhive.cli.daily import errors_before, show_edits, to_do_again
+from slamhive.cli.parts import searches
 from slamhive.cli.parts.checked import check_files
 from slamhive.cli.parts.console import (
     command_name,
@@ -57,6 +58,7 @@ from slamhive.model.sweep import Sweep
 from slamhive.monitor.measuring.processes import forbid_inspection
 from slamhive.plan import local_uid
 from slamhive.reporting.conclusions import conclusion
+from slamhive.sampling import require_sampler
 from slamhive.tables.reading import read_archive
 
 if TYPE_CHECKING:
@@ -302,6 +304,7 @@ def _run_files(files: Sequence[Path], home: Home, how: _How) -> int:
         require_own_name(bench.archive, sweeps)
         interrupted, faults = False, False
         if jobs:
+            _recall(jobs, bench)
             if how.rerun_where is not None:
                 to_do_again(jobs, home, how.rerun_where)
             # Before the display, as engines draw their own progress.
@@ -321,10 +324,24 @@ def _run_files(files: Sequence[Path], home: Home, how: _How) -> int:
 
 
 def _jobs(both: Sequence[tuple[Sweep, Plan]], workshop: Workshop, how: _How) -> list[Job]:
+    given = {"--only": how.only, "--dataset": how.datasets, "--first": how.wish.first}
+    searches.refuse_choice(both, [name for name, value in given.items() if value])
     jobs = [Job(sweep, local_uid(sweep), points) for sweep, points in both]
     for job, asked in zip(jobs, ask(both, workshop, how.only, how.datasets), strict=True):
         job.asked = asked
     return jobs
+
+
+def _recall(jobs: Sequence[Job], bench: Workbench) -> None:
+    """Take in what searches tried before.
+
+    Raises:
+        InputError: who proposes settings isn't installed.
+    """
+    for job in jobs:
+        if job.search is not None:
+            require_sampler(job.search.search.method)
+            job.search.recall(bench.archive)
 
 
 def _measure(bench: Workbench, jobs: Sequence[Job], evaluations: Sequence[Evaluation]) -> bool:
@@ -423,6 +440,7 @@ def _report(jobs: Sequence[Job], bench: Workbench) -> None:
 def _report_one(job: Job, bench: Workbench, *, is_one: bool) -> None:
     succeeded, failed = job.count(PointState.SUCCEEDED), job.count(PointState.FAILED)
     waiting = len(job.points) - succeeded - failed - job.left_out
+    search = {"search": searches.search_values(job.search)} if job.search is not None else {}
     if speaks_json():
         if is_one:
             show_edits([job], bench.home)
@@ -440,23 +458,28 @@ def _report_one(job: Job, bench: Workbench, *, is_one: bool) -> None:
             verdict=str(job.verdict),
             message=job.message,
             folder=str(bench.home.path / "runs" / job.sweep.name),
+            **search,
         )
         return
     parts = [f"{succeeded} succeeded", f"{failed} failed"]
     parts += [f"{waiting} not run"] if waiting else []
-    parts += [f"{job.left_out} left out"] if job.left_out else []
+    parts += [f"{job.left_out} left out"] if job.left_out and job.search is None else []
     parts += [f"{job.kept} done before"] if job.kept else []
     parts += [f"{job.done_elsewhere} done by another runner"] if job.done_elsewhere else []
     parts += [f"{job.reused} reused"] if job.reused else []
     if succeeded or failed:
         out.print()
-        show_table(sweep=job.sweep.name, also=[])
+        if job.search is None:
+            show_table(sweep=job.sweep.name, also=[])
+        else:
+            for line in searches.end_lines(job.search):
+                out.print(line, markup=False, soft_wrap=True)
     if is_one:
         show_edits([job], bench.home)
-    reason = f" ({job.verdict}: {job.message})" if job.message and waiting else ""
-    out.print(
-        f"{escape(job.sweep.name)}: {plural(len(job.points), 'run')}: {', '.join(parts)}{escape(reason)}"
-    )
+    is_short = waiting or (job.search is not None and job.verdict is not Verdict.COMPLETE)
+    reason = f" ({job.verdict}: {job.message})" if job.message and is_short else ""
+    runs = succeeded + failed + waiting if job.search is not None else len(job.points)
+    out.print(f"{escape(job.sweep.name)}: {plural(runs, 'run')}: {', '.join(parts)}{escape(reason)}")
     out.print(f"Files:      {bench.home.path / 'runs' / job.sweep.name}", soft_wrap=True)
     if succeeded or failed:  # else nobody knows the sweep yet
         more = f"{command_name()} results table --sweep {job.sweep.name}   (list, show, export)"

@@ -59,6 +59,7 @@ class SweepObserved:
         twins: points that come out as another one does, with that one's index: they start after its end, to
             take its result.
         left_out: number of pending points that nobody asks for this time; ``order`` is without them.
+        is_open: whether more points may be asked for later, as a search does: it isn't complete before.
     """
 
     states: Sequence[int]
@@ -69,6 +70,7 @@ class SweepObserved:
     cursor: int = 0
     twins: Mapping[int, int] = field(default_factory=dict)
     left_out: int = 0
+    is_open: bool = False
 
     def may_start(self, index: int) -> bool:
         """Tell whether a point is pending and waits for no other."""
@@ -111,7 +113,7 @@ def decide_sweep(spec: SweepSpec, seen: SweepObserved, now: float) -> SweepDecis
     """
     counts = {state: _count(seen.states, state) for state in PointState}
     active = counts[PointState.ACTIVE]
-    if counts[PointState.PENDING] <= seen.left_out and not active:
+    if counts[PointState.PENDING] <= seen.left_out and not active and not seen.is_open:
         return SweepDecision(Verdict.COMPLETE, "all points are done", cursor=seen.cursor)
     limit = _limit(spec, seen, counts, now)
     if limit is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import re
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
@@ -31,6 +31,9 @@ from slamhive.model.posefiles import PoseFile, told_files
 from slamhive.model.rosnodes import Ros1, Ros2, RosNode
 from slamhive.model.sensors import ROLES, FrameOwner, Role, SensorMode
 from slamhive.model.templates import FILES_LIMIT, TEMPLATE_LIMIT, TEMPLATES_LIMIT, read_template
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 _NOT_BOUND = r'/:,"\x00-\x1f'
 _BOUND_SEGMENT = rf"([^.{_NOT_BOUND}]|\.[^.{_NOT_BOUND}]|\.\.[^{_NOT_BOUND}])[^{_NOT_BOUND}]*"
@@ -86,10 +89,19 @@ class Parameter(Model):
     maximum: float | None = optional("Greatest value allowed.")
     values: list[Scalar] | None = optional("The only values allowed.", min_length=1)
     unit: str | None = optional("Unit of the value.")
+    scale: Literal["Linear", "Log"] | None = optional(
+        "Whether equal differences or equal ratios of the value matter alike: how a search divides a range."
+    )
+    when: dict[str, Annotated[list[Scalar], Field(min_length=1)]] | None = optional(
+        "Parameters and their values with which this one has an effect; a search sets it with no others.",
+        min_length=1,
+    )
     description: str = Field(default="", description="Effect of the parameter.")
 
     @model_validator(mode="after")
     def _default_fits(self) -> Self:
+        if self.scale is not None and self.type not in {ParameterType.NUMBER, ParameterType.INTEGER}:
+            raise ValueError(f"scale: means nothing to the type {self.type}")
         problem = self.problem(self.default)
         if problem:
             raise ValueError(f"default: {problem}")
@@ -356,6 +368,7 @@ class AlgorithmSpec(Model):
         if len(set(assets)) != len(assets):
             raise ValueError("assets: each name may be used once")
         self._check_files()
+        self._check_conditions()
         if Pace.REALTIME in self.paces and self.realtime is None:
             raise ValueError("realtime: needed for the pace Realtime (queue and drop policy)")
         self._check_node()
@@ -367,6 +380,40 @@ class AlgorithmSpec(Model):
             if not self.formats(mode):
                 raise ValueError(f"recording: {misfit(self.recording, mode.needs, f'the mode {mode.name}')}")
         return self
+
+    def _check_conditions(self) -> None:
+        for name, parameter in self.parameters.items():
+            for other, values in (parameter.when or {}).items():
+                where = f"parameters.{name}.when.{other}"
+                declared = self.parameters.get(other)
+                if declared is None:
+                    raise ValueError(
+                        f"{where}: unknown parameter {other!r}{suggestion(other, self.parameters)}"
+                    )
+                problem = next(filter(None, map(declared.problem, values)), None)
+                if problem:
+                    raise ValueError(f"{where}: {problem}")
+            if name in self.conditions(name):
+                raise ValueError(f"parameters.{name}.when: depends on {name} itself")
+
+    def conditions(self, name: str) -> set[str]:
+        """Return all parameters that a parameter's effect depends on, by way of others too."""
+        found: set[str] = set()
+        ahead = [name]
+        while ahead:
+            further = set(self.parameters[ahead.pop()].when or ()) - found
+            found |= further
+            ahead += further & self.parameters.keys()
+        return found
+
+    def has_effect(self, name: str, parameters: Mapping[str, Scalar]) -> bool:
+        """Tell whether a parameter has an effect beside others, of which those not given have defaults."""
+        for other, values in (self.parameters[name].when or {}).items():
+            given = other in parameters and self.has_effect(other, parameters)
+            value = parameters[other] if given else self.parameters[other].default
+            if (type(value) is bool, value) not in [(type(one) is bool, one) for one in values]:
+                return False
+        return True
 
     @property
     def node(self) -> RosNode | None:

@@ -28,8 +28,10 @@ class Range(Model):
     def _determined(self) -> Self:
         if self.step is not None and self.count is not None:
             raise ValueError("give either step or count")
-        if self.scale == "Log" and (self.step is not None or self.from_ <= 0 or self.to <= 0):
-            raise ValueError("the scale Log needs count and ends above zero")
+        if self.scale == "Log" and self.step is not None:
+            raise ValueError("the scale Log needs count, or in a search neither count nor step")
+        if self.scale == "Log" and min(self.from_, self.to) <= 0:
+            raise ValueError(f"the scale Log needs ends above zero, found {min(self.from_, self.to):g}")
         if self.count is None and self.to < self.from_:
             raise ValueError("to must not be below from")
         return self

@@ -9,7 +9,7 @@ from slamhive.plan.expansion import Plan, Point
 from slamhive.plan.hashes import algorithm_hash, content_hash, local_uid, run_name, spec_hash
 from slamhive.plan.images import image_digest, pinned_digest
 from slamhive.plan.resolution import resolve
-from slamhive.plan.searching import SearchPlan, SearchSpace
+from slamhive.plan.searching import SearchPlan, SearchSpace, plan_of, probed
 
 __all__ = [
     "Catalog",
@@ -26,7 +26,9 @@ __all__ = [
     "local_uid",
     "option_problems",
     "pinned_digest",
+    "plan_of",
     "plan_problems",
+    "probed",
     "recording_fields",
     "resolve",
     "run_configuration",

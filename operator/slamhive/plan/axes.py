@@ -187,7 +187,9 @@ def _steps(axis: Axis, where: str, catalog: Catalog, findings: Findings, *, sear
     path = parse_path(axis.path or "", f"{where}.path")
     span = axis.range if searching and axis.range is not None and axis.range.is_continuous else None
     values, source = (
-        ([span.from_, span.to], "range") if span else _values(axis, path, where, catalog, findings)
+        ([span.from_, span.to][: 1 + (span.from_ < span.to)], "range")
+        if span
+        else _values(axis, path, where, catalog, findings)
     )
     seen: set[str] = set()
     plain: list[Any] = []

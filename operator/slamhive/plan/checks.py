@@ -212,13 +212,13 @@ class _Check:
         grid = self._plan.grid
         addition = grid.addition(row)
         if path in addition.settings:
-            return addition.origins[-1]
+            return addition.origin(path)
         for axis, step in zip(grid.dimensions, grid.steps(row) or (), strict=False):
             if path in axis.settings[step]:
                 return axis.origin(step)
         if path in self._plan.template or not grid.dimensions:
             return "spec.template.spec"
-        return addition.origins[-1] if grid.steps(row) is None else "spec.template.spec"
+        return addition.origin(path) if grid.steps(row) is None else "spec.template.spec"
 
 
 def _prevented(

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.plan.axes import Dimension
+    from slamhive.plan.paths import Path
 
 MAX_GRID = 10_000_000
 """The most combinations before exclude."""
@@ -44,11 +45,12 @@ _MISSING = object()
 
 @dataclass(frozen=True)
 class Addition:
-    """Fields that include adds to a combination, or a combination that it makes."""
+    """Fields that include adds to a combination, or a combination that it or a search makes."""
 
     coordinates: Coordinates = field(default_factory=dict)
     settings: Settings = field(default_factory=dict)
     origins: tuple[str, ...] = ()
+    sources: dict[Path, str] = field(default_factory=dict)
 
     def then(self, later: Addition) -> Addition:
         """Return both additions, the later one winning."""
@@ -56,7 +58,12 @@ class Addition:
             self.coordinates | later.coordinates,
             self.settings | later.settings,
             (*self.origins, *later.origins),
+            self.sources | later.sources,
         )
+
+    def origin(self, path: Path) -> str:
+        """Return the field of the Sweep that a field was set by, or the template where none was."""
+        return self.sources.get(path) or (self.origins[-1] if self.origins else "spec.template.spec")
 
 
 @dataclass

@@ -47,10 +47,12 @@ class SearchedAxis:
     Attributes:
         dimension: the compiled axis.
         is_integer: whether only whole numbers of its range may be tried.
+        is_ratio: whether its parameter is declared to be of the scale Log.
     """
 
     dimension: Dimension
     is_integer: bool = False
+    is_ratio: bool = False
 
     @property
     def label(self) -> str:
@@ -58,9 +60,16 @@ class SearchedAxis:
         return self.dimension.label
 
     @property
+    def parameter(self) -> str | None:
+        """Return the parameter that it sets; None for another field, and for axes of points."""
+        path = self.dimension.path
+        return path[-1] if path is not None and path[:-1] == PARAMETERS else None
+
+    @property
     def is_log(self) -> bool:
         """Tell whether its range is divided by ratios and not by differences."""
-        return self.dimension.span is not None and self.dimension.span.scale == "Log"
+        span = self.dimension.span
+        return span is not None and (span.scale == "Log" or (self.is_ratio and span.from_ > 0))
 
     @property
     def ends(self) -> tuple[float, float] | None:
@@ -72,7 +81,7 @@ class SearchedAxis:
     def size(self) -> int | None:
         """Return the number of its values; None where any number of a range may be tried."""
         ends = self.ends
-        if ends is None:
+        if ends is None or ends[0] == ends[1]:
             return len(self.dimension.values)
         return int(math.floor(ends[1]) - math.ceil(ends[0])) + 1 if self.is_integer else None
 
@@ -165,14 +174,19 @@ class SearchSpace:
         self.contexts: list[Addition] = [
             _combined(
                 [
-                    (axis.label, axis.values[step], axis.settings[step])
+                    (axis, axis.values[step], axis.settings[step])
                     for axis, step in zip(over, steps, strict=True)
                 ]
             )
             for row in range(len(grid))
             for steps in [grid.steps(row) or ()]
         ]
-        self.axes = [SearchedAxis(axis, _is_integer(axis, algorithms)) for axis in searched]
+        self.axes = [
+            SearchedAxis(axis, _is_integer(axis, algorithms), _is_ratio(axis, algorithms))
+            for axis in searched
+        ]
+        self._template, self._algorithms = template, algorithms
+        self._open = {path[-1] for axis in over for path in axis.paths if path[:-1] == PARAMETERS}
         if not self.axes:
             raise InputError("spec.matrix: no axis is left to search; it has none but those in search.across")
         alone = [one.dimension.where for one in self.axes if one.size == 1]
@@ -187,7 +201,9 @@ class SearchSpace:
         """Lay out the seeking of thresholds: an axis, and a series for each combination of the others."""
         labels = [axis.label for axis in self.axes]
         if search.axis not in labels:
-            raise InputError(f"spec.search.axis: {search.axis} is one of search.across, nothing of it is sought")
+            raise InputError(
+                f"spec.search.axis: {search.axis} is one of search.across, nothing of it is sought"
+            )
         self.sought = labels.index(search.axis)
         self.ladder = Ladder(self.axes[self.sought], search.tolerance)
         for axis in self.axes:
@@ -228,14 +244,51 @@ class SearchSpace:
         sizes = [axis.size for axis in self.axes]
         return None if None in sizes else math.prod(size for size in sizes if size is not None)
 
+    @cached_property
+    def is_conditional(self) -> bool:
+        """Tell whether a searched parameter has an effect only beside some values of others."""
+        names = {axis.parameter for axis in self.axes} - {None}
+        declared = [
+            one.spec.parameters.get(name) for one in self._algorithms.values() for name in names if name
+        ]
+        return any(one is not None and one.when for one in declared)
+
+    def in_effect(self, values: Sequence[Any]) -> list[bool]:
+        """Return whether each axis has an effect beside the others' values; the others set nothing."""
+        if not self.is_conditional:
+            return [True] * len(self.axes)
+        fields = dict(self._template)
+        for axis, value in zip(self.axes, values, strict=True):
+            fields |= axis.settings(value)
+        algorithm = self._algorithms.get(fields.get(ALGORITHM) or "")
+        given = {path[-1]: value for path, value in fields.items() if path[:-1] == PARAMETERS}
+        return [
+            algorithm is None
+            or axis.parameter not in algorithm.spec.parameters
+            or not self._open.isdisjoint(algorithm.spec.conditions(axis.parameter))
+            or algorithm.spec.has_effect(axis.parameter, given)
+            for axis in self.axes
+        ]
+
+    def canonical(self, values: Sequence[Any]) -> list[Any]:
+        """Return values that are equal for equal settings: an axis without effect has its first one."""
+        return [
+            value if has_effect else axis.dimension.values[0]
+            for axis, value, has_effect in zip(self.axes, values, self.in_effect(values), strict=True)
+        ]
+
     def setting(self, values: Sequence[Any]) -> Addition:
-        """Return coordinates and fields of a setting.
+        """Return coordinates and fields of a setting, without those of axes that have no effect in it.
 
         Raises:
             InputError: a value isn't of its axis.
         """
         return _combined(
-            [(axis.label, value, axis.settings(value)) for axis, value in zip(self.axes, values, strict=True)]
+            [
+                (axis.dimension, value, axis.settings(value))
+                for axis, value, has_effect in zip(self.axes, values, self.in_effect(values), strict=True)
+                if has_effect
+            ]
         )
 
     def part(self, values: Sequence[Any]) -> tuple[tuple[Any, ...], Any]:
@@ -249,7 +302,7 @@ class SearchSpace:
 
     def key(self, values: Sequence[Any]) -> str:
         """Return a text that is equal for equal settings."""
-        return _key(list(values))
+        return _key(self.canonical(values))
 
     def probes(self) -> list[Trial]:
         """Return settings that have each value of each axis, and each end: what is checked before all.
@@ -269,16 +322,45 @@ class SearchSpace:
 
     def _changed(self, base: list[Any], fixed: Sequence[int]) -> Iterator[list[Any]]:
         yield base
+        shown = self.in_effect(base)
         for number, axis in enumerate(self.axes):
-            for value in () if number in fixed else axis.dimension.values[1:]:
-                yield [*base[:number], value, *base[number + 1 :]]
+            for value in () if number in fixed else axis.dimension.values[int(shown[number]) :]:
+                yield self._with_effect([*base[:number], value, *base[number + 1 :]], number)
+
+    def _with_effect(self, values: list[Any], number: int) -> list[Any]:
+        """Return values beside which an axis has an effect, as far as searched axes decide that."""
+        if self.in_effect(values)[number]:
+            return values
+        declared = (
+            one.spec.parameters.get(self.axes[number].parameter or "") for one in self._algorithms.values()
+        )
+        when = {name: list(given) for one in declared if one for name, given in (one.when or {}).items()}
+        changed = list(values)
+        for place, axis in enumerate(self.axes):
+            allowed = [
+                value for value in axis.dimension.values if value in when.get(axis.parameter or "", ())
+            ]
+            if allowed:
+                changed[place] = allowed[0]
+                changed = self._with_effect(changed, place)
+        return changed
 
 
-def _combined(parts: Sequence[tuple[str, Any, Settings]]) -> Addition:
+def _combined(parts: Sequence[tuple[Dimension, Any, Settings]]) -> Addition:
     whole = Addition()
-    for label, value, settings in parts:
-        whole = whole.then(Addition({label: value}, dict(settings)))
+    for axis, value, settings in parts:
+        place = list(axis.values).index(value) if axis.span is None else 0
+        sources = dict.fromkeys(settings, axis.origin(place))
+        whole = whole.then(Addition({axis.label: value}, dict(settings), (), sources))
     return whole
+
+
+def _is_ratio(axis: Dimension, algorithms: Mapping[str, Algorithm]) -> bool:
+    """Tell whether an axis sets a parameter of the scale Log."""
+    if axis.path is None or axis.path[:-1] != PARAMETERS:
+        return False
+    declared = [one.spec.parameters.get(axis.path[-1]) for one in algorithms.values()]
+    return any(one is not None and one.scale == "Log" for one in declared)
 
 
 def _is_integer(axis: Dimension, algorithms: Mapping[str, Algorithm]) -> bool:
@@ -325,6 +407,30 @@ class Drawn:
     def addition(self, row: int) -> Addition:
         """Return a row's coordinates and fields."""
         return self._rows[row]
+
+
+def plan_of(
+    sweep: Sweep,
+    catalog: Catalog,
+    trials: Sequence[Trial] = (),
+    *,
+    strict: bool = True,
+    uid: str | None = None,
+    findings: Findings | None = None,
+) -> Plan:
+    """Return the plan of a Sweep, of a search that of its trials so far; arguments as of these.
+
+    Raises:
+        InputError: the Sweep is wrong, or a trial doesn't fit it.
+    """
+    if sweep.spec.search.is_search:
+        return SearchPlan(sweep, catalog, trials, strict=strict, uid=uid, findings=findings)
+    return Plan(sweep, catalog, strict=strict, uid=uid, findings=findings)
+
+
+def probed(plan: Plan) -> Plan:
+    """Return the plan whose runs tell what of a Sweep is wrong: of a search, of settings at all its ends."""
+    return plan.probing() if isinstance(plan, SearchPlan) else plan
 
 
 class SearchPlan(Plan):
@@ -394,6 +500,12 @@ class SearchPlan(Plan):
         found = [step[path] for step in steps if step.get(path) is not None]
         return list(dict.fromkeys(found)) or [name for name in [self.assembler.value({}, path)] if name]
 
+    def remarks(self, limit: int = 20) -> list[str]:
+        """Return remarks on options without effect, and on trials that there are no settings for."""
+        asked, most = self.sweep.spec.search.trials, self.most_trials
+        few = f"spec.search.trials: {asked} are asked for, the matrix has {most} settings: all are tried"
+        return [*super().remarks(limit), *([few] if asked is not None and asked > most else [])]
+
     def draw(self, trial: Trial) -> None:
         """Add a trial; its runs are the last ones of the plan from now on.
 
@@ -403,12 +515,25 @@ class SearchPlan(Plan):
         self._drawn.draw(trial)
         self.trials.append(trial)
 
+    @property
+    def most_runs(self) -> int:
+        """Return the number of runs at most."""
+        return self.most_trials * self.space.block
+
     def probing(self) -> SearchPlan:
         """Return the plan of the settings that tell what of the Sweep is wrong before anything runs."""
+        return self.with_trials(self.space.probes())
+
+    def with_trials(self, trials: Sequence[Trial]) -> SearchPlan:
+        """Return the plan of other settings than those that are tried.
+
+        Raises:
+            InputError: one doesn't fit.
+        """
         return SearchPlan(
             self.sweep,
             FixedCatalog(self.algorithms, self.datasets),
-            self.space.probes(),
+            trials,
             strict=self.strict,
             uid=self.uid,
             findings=self.findings,

@@ -20,7 +20,7 @@ from slamhive.model.errors import SystemFault
 from slamhive.model.extras import without
 from slamhive.model.search import SearchMethod, Trial
 from slamhive.sampling.limits import CPU_SECONDS, WALL_SECONDS
-from slamhive.sampling.telling import question, value_meant
+from slamhive.sampling.telling import TrialsTold, value_meant
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -58,6 +58,7 @@ class Sampler:
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
+        self._told: TrialsTold | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -99,17 +100,19 @@ class Sampler:
             SystemFault: the process ended twice, or ran into its limits.
         """
         require_sampler(search.method)
-        tried = {space.key(trial.values) for trial in trials}
+        if self._told is None or self._told.space is not space:
+            self._told = TrialsTold(space)
+        tried = self._told.keys(trials)
         if space.size is not None and len(tried) >= space.size:
             return None
-        asked = question(search, space, trials, standings, told)
+        asked = self._told.question(search, standings, told)
         for begin, tries in ((0, 1), (1, _TRIES)):
             for found in self._answer(asked | {"begin": begin, "tries": tries}, search.method):
                 values = [value_meant(axis, value) for axis, value in zip(space.axes, found, strict=True)]
                 if space.key(values) not in tried:
-                    return Trial(values=values, told=told)
+                    return Trial(values=space.canonical(values), told=told)
         untried = _untried(space, tried, [search.seed, len(trials)])
-        return None if untried is None else Trial(values=untried, told=told)
+        return None if untried is None else Trial(values=space.canonical(untried), told=told)
 
     def _answer(self, asked: dict[str, Any], method: SearchMethod) -> list[list[float]]:
         line = json.dumps(asked).encode() + b"\n"

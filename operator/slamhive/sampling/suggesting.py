@@ -2,7 +2,7 @@
 """Suggestions of the methods, each a function of what it is told and of nothing else.
 
 Optuna's samplers are made anew for each trial, seeded by the search's seed and the trial's number, from a
-study that holds what was told. So there is no state to keep, and what was asked once is answered alike ever after.
+study of what was told. So there is no state to keep, and what was asked once is answered alike ever after.
 """
 
 from __future__ import annotations

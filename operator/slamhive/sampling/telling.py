@@ -6,11 +6,12 @@ The process knows no names: of an axis it is told its kind and its ends, of a va
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from slamhive.engine import TrialStanding
     from slamhive.model.search import Search, Trial
@@ -55,51 +56,68 @@ def _sorted_places(axis: SearchedAxis) -> list[int]:
     return sorted(range(len(numbers)), key=numbers.__getitem__)
 
 
-def question(
-    search: Search,
-    space: SearchSpace,
-    trials: Sequence[Trial],
-    standings: Sequence[TrialStanding],
-    told: int,
-) -> dict[str, Any]:
-    """Return what the process is asked for the next trial.
+class TrialsTold:
+    """Trials of a search as the process is told them, each turned into numbers once.
 
     Args:
-        search: its settings.
         space: what can be tried.
-        trials: all trials so far.
-        standings: where each stands.
-        told: the results of all trials below are told; the others are under way, however far they are.
     """
-    by_number = {standing.number: standing for standing in standings}
-    return {
-        "method": search.method.value,
-        "seed": search.seed,
-        "number": len(trials),
-        "objectives": len(search.objectives),
-        "conditional": False,
-        "axes": [axis_told(axis) for axis in space.axes],
-        "trials": [
-            {
-                "values": [
-                    value_told(axis, value) for axis, value in zip(space.axes, trial.values, strict=True)
-                ],
-                "told": trial.told,
-            }
-            | (result_told(by_number, number) if number < told else {"state": "running"})
-            for number, trial in enumerate(trials)
-        ],
-    }
+
+    def __init__(self, space: SearchSpace) -> None:
+        self.space = space
+        self._axes = [axis_told(axis) for axis in space.axes]
+        self._trials: list[Trial] = []
+        self._values: list[list[Any]] = []
+        self._keys: list[str] = []
+
+    def keys(self, trials: Sequence[Trial]) -> set[str]:
+        """Return the keys of the settings that were tried, after taking in the trials so far."""
+        same = sum(
+            1
+            for _ in itertools.takewhile(
+                lambda pair: pair[0] is pair[1], zip(trials, self._trials, strict=False)
+            )
+        )
+        for kept in (self._trials, self._values, self._keys):
+            del kept[same:]
+        for trial in trials[same:]:
+            in_effect = self.space.in_effect(trial.values)
+            numbers = zip(self.space.axes, trial.values, in_effect, strict=True)
+            self._values.append([value_told(axis, value) if has else None for axis, value, has in numbers])
+            self._keys.append(self.space.key(trial.values))
+            self._trials.append(trial)
+        return set(self._keys)
+
+    def question(self, search: Search, standings: Sequence[TrialStanding], told: int) -> dict[str, Any]:
+        """Return what the process is asked for the next trial.
+
+        Args:
+            search: its settings.
+            standings: where each trial stands, by number.
+            told: the results of all trials below are told; others are under way, however far they are.
+        """
+        return {
+            "method": search.method.value,
+            "seed": search.seed,
+            "number": len(self._trials),
+            "objectives": len(search.objectives),
+            "conditional": self.space.is_conditional,
+            "axes": self._axes,
+            "trials": [
+                {"values": values, "told": trial.told}
+                | (result_told(standings[number]) if number < told else {"state": "running"})
+                for number, (trial, values) in enumerate(zip(self._trials, self._values, strict=True))
+            ],
+        }
 
 
-def result_told(standings: Mapping[int, TrialStanding], number: int) -> dict[str, Any]:
+def result_told(standing: TrialStanding) -> dict[str, Any]:
     """Return a trial's result: its figures, and how much of a failure it is.
 
     A failed run is the worst there is, never missing. A setting that was dropped has figures of other runs
     than one with all, so it ranks behind these: by the steps that it lacks, then by how many were better.
     """
-    standing = standings.get(number)
-    if standing is None or standing.score is None:
+    if standing.score is None:
         return {"state": "unknown"}  # the machine failed: nothing is known of the setting
     steps = len(standing.scores)
     return {

@@ -17,7 +17,7 @@ from slamhive.local.home.leases import LeaseKind
 from slamhive.local.running.choosing import RunChoice
 from slamhive.local.running.runner import Job, Runner
 from slamhive.local.running.workbench import Workbench
-from slamhive.plan import Plan, local_uid
+from slamhive.plan import local_uid, plan_of
 
 from .sweeps import Notes, sweep_of
 
@@ -38,7 +38,7 @@ class Working(threading.Thread):
 
     def __init__(self, home: Home, workshop: Workshop, sweep: Sweep, *, rerun: bool = False) -> None:
         super().__init__(daemon=True)
-        self.job = Job(sweep, local_uid(sweep), Plan(sweep, workshop))
+        self.job = Job(sweep, local_uid(sweep), plan_of(sweep, workshop))
         self.notes = Notes()
         self._home, self._workshop, self._wish = home, workshop, RunChoice(rerun=rerun)
         self.start()
@@ -102,7 +102,7 @@ def test_what_a_killed_runner_was_at_is_done_by_the_other(
     home: Home, workshop: Workshop, bench: Workbench, kind: LeaseKind
 ) -> None:
     sweep = sweep_of(["good", "forks"])
-    job = Job(sweep, local_uid(sweep), Plan(sweep, workshop))
+    job = Job(sweep, local_uid(sweep), plan_of(sweep, workshop))
     point = job.points.point(0)
     program = bench.program("actor")
     content = bench.provenance(point.spec, point.spec_hash, program).content_hash

@@ -15,11 +15,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from slamhive.cli.parts.planning import CANCELLED, sweeps_of
+from slamhive.cli.parts.searches import objective_faults
 from slamhive.model.errors import InputError
 from slamhive.model.loading import KINDS, empty, judge, read_documents, read_text
 from slamhive.model.run import MappingRun
 from slamhive.model.sweep import Sweep, SweepSpec
-from slamhive.plan import FixedCatalog, Plan, plan_problems
+from slamhive.plan import FixedCatalog, plan_of, plan_problems, probed
 from slamhive.plan.findings import ANY, Findings
 from slamhive.plan.paths import bounded
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
     from slamhive.local.home.catalog import Workshop
     from slamhive.model.loading import Judged, Kind
+    from slamhive.plan import Plan
 
 MOST = 100
 """Mistakes that are told one by one."""
@@ -155,12 +157,12 @@ class _JudgedFiles:
         findings.hidden = self._hides
         plan: Plan | None = None
         try:
-            plan = Plan(sweep, self._catalog, strict=strict, findings=findings)
+            plan = plan_of(sweep, self._catalog, strict=strict, findings=findings)
         except InputError as error:
             findings.problems += str(error).splitlines()
         found = list(findings.problems)
         if plan is not None and strict:
-            found += plan_problems(plan, sys.maxsize)
+            found += [*plan_problems(probed(plan), sys.maxsize), *objective_faults(sweep)]
         placed = [_placed(one, sentence) for sentence in found]
         unread = {sentence.split(": ")[0] for sentence in document.problems}
         self._tell(document.source, [text for text in placed if text.split(": ")[0] not in unread])

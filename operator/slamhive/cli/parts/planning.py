@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 from slamhive.model.errors import InputError
 from slamhive.model.run import MappingRun
 from slamhive.model.sweep import RunTemplate, Sweep, SweepSpec, TemplateMeta
-from slamhive.plan import Plan
+from slamhive.plan import plan_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamhive.model.loading import Kind
-    from slamhive.plan import Catalog
+    from slamhive.plan import Catalog, Plan
 
 
 CANCELLED = "spec.cancel: true; a cancelled run is not started"
@@ -57,6 +57,6 @@ def planned(sweep: Sweep, catalog: Catalog, *, strict: bool) -> Plan:
         InputError: with the sweep's name.
     """
     try:
-        return Plan(sweep, catalog, strict=strict)
+        return plan_of(sweep, catalog, strict=strict)
     except InputError as error:
         raise InputError(f"{sweep.kind} {sweep.name}: {error}") from None

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.text import Text
 
 from slamhive.cli.parts.console import bytes_text, emit, err, plural, speaks_json
+from slamhive.cli.parts.searches import extent_text, progress_text, search_values
 from slamhive.engine import PointState
 from slamhive.local.running.estimating import Estimate
 from slamhive.local.running.execution import RunStep
@@ -42,6 +43,7 @@ _ESTIMATED_SECONDS = 1.0
 _AWAITED = (RunStep.CORES, RunStep.DATASET, RunStep.PROGRAM)
 """Steps that a run waits for before anything is done for it alone: datasets and programs are made once."""
 
+_LONGEST_NUMBER = 8
 _MADE_AFTER_SECONDS = 15.0
 _MADE_APART = 0.25
 """Off a terminal it is said after so long, and after so much of the time passed again, what is being made."""
@@ -68,10 +70,16 @@ class Naming:
     def words(self, index: int) -> str:
         """Return the words that tell a run from the others; empty where it is the only one."""
         settings = self.settings(index)
-        parts = [f"{short_name(label, list(settings))} {value}" for label, value in settings.items()]
+        parts = [f"{short_name(label, list(settings))} {_word(value)}" for label, value in settings.items()]
         if self._points.repetitions > 1:
             parts.append(f"repetition {self._points.point(index).repetition}")
         return ", ".join(parts)
+
+
+def _word(value: Any) -> str:
+    """Return a value in few letters: one that a search drew from a range has very many digits."""
+    text = str(value)
+    return f"{value:.4g}" if isinstance(value, float) and len(text) > _LONGEST_NUMBER else text
 
 
 @dataclass
@@ -130,6 +138,7 @@ class Display:
         self._tasks: dict[str, TaskID] = {}
         self._elsewhere = ""
         self._told_elsewhere = False
+        self._best: dict[str, list[Any]] = {}
         self._live = Live(
             console=err,
             refresh_per_second=_REFRESH_PER_SECOND,
@@ -155,9 +164,12 @@ class Display:
         self._jobs[job.uid] = job
         estimate = Estimate.of(job.points, self._bench.archive)
         self._followed[job.uid] = _Followed(Naming(job.points), estimate, before=self._before(job))
-        self._tasks[job.uid] = self._bars.add_task(escape(job.sweep.name), total=self._total(job), notes="")
+        total = job.search.plan.most_trials if job.search is not None else self._total(job)
+        self._tasks[job.uid] = self._bars.add_task(escape(job.sweep.name), total=total, notes="")
         self._left = None
-        told = sentences(outlook, job.points, again=job.again, left_out=job.left_out)
+        is_grid = job.search is None
+        told = sentences(outlook, job.points, again=job.again, left_out=job.left_out, tells_new=is_grid)
+        told = told if job.search is None else [extent_text(job.search.plan), *told]
         if speaks_json():
             counts = {kind.name.lower(): outlook.count(kind) for kind in RunStanding}
             emit(
@@ -205,12 +217,14 @@ class Display:
             before = followed.before.get(index // job.points.repetitions)
         self._left = None
         done = self._done(job)
+        total = self._total(job)
+        of = f"{done}" if job.search is not None else f"{done}/{total}"
         if speaks_json():
             emit(
                 "run",
                 **self._names(job, index),
                 done=done,
-                runs=self._total(job),
+                runs=total,
                 leftSeconds=self._seconds_left(),
                 **run_values(record),
                 ateBefore=before,
@@ -218,7 +232,7 @@ class Display:
             return
         left = "" if self._shows else self._left_text()
         ending = f" [dim]· {left}[/]" if left else ""
-        err.print(f"[dim]{done}/{self._total(job)}[/] {run_line(record, words, before)}{ending}")
+        err.print(f"[dim]{of}[/] {run_line(record, words, before)}{ending}")
 
     def tick(self, jobs: Sequence[Job]) -> None:
         """Move the bars; off a terminal, say now and then what runs wait for."""
@@ -231,8 +245,25 @@ class Display:
                 continue
             failed = job.count(PointState.FAILED)
             notes = [f"[red]{failed} failed[/]"] if failed else []
-            self._bars.update(task, completed=self._done(job), notes=" ".join(notes))
+            done = self._done(job)
+            if job.search is not None:
+                done = sum(one.is_decided for one in job.search.decision.standings)
+                notes.append(escape(progress_text(job.search)))
+                self._tell_search(job)
+            self._bars.update(task, completed=done, notes=" ".join(notes))
         self._tell_elsewhere(jobs)
+
+    def _tell_search(self, job: Job) -> None:
+        """Say how far a search is whenever it has found something better."""
+        search = job.search
+        best = [(one.number, one.score) for one in search.best[:1]] if search is not None else []
+        if search is None or not best or self._best.get(job.uid) == best:
+            return
+        self._best[job.uid] = best
+        if speaks_json():
+            emit("search", sweep=job.sweep.name, **search_values(search))
+        elif not self._shows:
+            err.print(f"[dim]{escape(job.sweep.name)}: {escape(progress_text(search))}[/]")
 
     def _tell_elsewhere(self, jobs: Sequence[Job]) -> None:
         """Say what is waited for as other runners have it: below the bars, and once in lines."""
@@ -318,7 +349,8 @@ class Display:
             running = {index: now - moment for index, moment in list(followed.began.items())}
             steps = list(followed.steps.items())
             waiting += [index for index, (step, _) in steps if step in _AWAITED and index not in running]
-            left = followed.estimate.left(waiting, running, job.at_a_time)
+            further = job.search.further_runs if job.search is not None else 0
+            left = followed.estimate.left(waiting, running, job.at_a_time, further)
             total = None if left is None or total is None else total + left
         self._left = (now, total)
         return total

@@ -12,7 +12,7 @@ from slamhive.dashboard.problems import TooCostly
 from slamhive.model.base import API_VERSION
 from slamhive.model.errors import SlamHiveError
 from slamhive.model.sweep import Sweep
-from slamhive.plan import FixedCatalog, Plan
+from slamhive.plan import FixedCatalog, SearchPlan, plan_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -73,14 +73,13 @@ class SweepTotals:
 
 
 def total(record: SweepRecord) -> int | None:
-    """Return the number of runs that a sweep was asked for; None where its spec says nothing of it."""
+    """Return the number of runs that a sweep was asked for, of a search at most; None where its spec says nothing of it."""
     if not record.spec:
         return None
     try:
         body: dict[str, Any] = {"apiVersion": API_VERSION, "kind": "Sweep", "metadata": {"name": record.name}}
         sweep = Sweep.model_validate(body | {"spec": record.spec})
-        if sweep.spec.search.is_search:
-            return None  # that follows from results
-        return len(Plan(sweep, FixedCatalog(), strict=False))
+        plan = plan_of(sweep, FixedCatalog(), strict=False)
+        return plan.most_runs if isinstance(plan, SearchPlan) else len(plan)
     except (SlamHiveError, ValueError, KeyError, TypeError):
         return None

@@ -48,11 +48,11 @@ class Estimate:
 
     def __init__(self, points: Combinations, knowledge: Knowledge) -> None:
         self._repetitions = points.repetitions
+        self._points, self._knowledge = points, knowledge
         rows = -(-len(points) // self._repetitions)
         self._step = max(1, -(-rows // MOST_TOLD_APART))
-        wanted = range(0, rows, self._step)
-        planned = planned_settings(points, wanted, knowledge, cpu_model())
-        self._settings: list[Setting] = [one.setting for one in planned]
+        self._settings: list[Setting] = []
+        self._cover(rows)
         self._known = knowledge.known()
         self._fresh: dict[int, list[float]] = {}
         self._noted: list[Known] = []
@@ -64,6 +64,12 @@ class Estimate:
     def of(cls, points: Combinations, archive: Costs) -> Estimate:
         """Return the estimate for a sweep by an archive."""
         return cls(points, Knowledge.of(archive.costs(points.algorithm_names(), points.dataset_names())))
+
+    def _cover(self, rows: int) -> None:
+        """Know the settings of so many rows: those of a search become more."""
+        wanted = range(len(self._settings) * self._step, rows, self._step)
+        planned = planned_settings(self._points, wanted, self._knowledge, cpu_model())
+        self._settings += [one.setting for one in planned]
 
     def note(self, index: int, wall: float, took: float) -> None:
         """Note how long a run took.
@@ -83,13 +89,16 @@ class Estimate:
         wall = self._wall(self._row(index))
         return None if wall is None else wall + self._overhead()
 
-    def left(self, waiting: Iterable[int], running: Mapping[int, float], at_a_time: int) -> float | None:
+    def left(
+        self, waiting: Iterable[int], running: Mapping[int, float], at_a_time: int, further: float = 0
+    ) -> float | None:
         """Return the time that the rest takes, s; None where nobody knows.
 
         Args:
             waiting: runs that have not begun.
             running: for how long others have been at work, s.
             at_a_time: runs at the same time.
+            further: runs of which nobody knows yet what they are.
         """
         rows: dict[int, int] = {}
         for index in waiting:
@@ -98,7 +107,7 @@ class Estimate:
         walls = {row: self._wall(row) for row in {*rows, *map(self._row, running)}}
         known = [wall for wall in walls.values() if wall is not None]
         if not known:
-            return 0.0 if not walls else None
+            return 0.0 if not walls and not further else None
         usual, overhead = fmean(known), self._overhead()
 
         def each(row: int) -> float:
@@ -107,6 +116,7 @@ class Estimate:
 
         still = [max(0.0, each(self._row(index)) - elapsed) for index, elapsed in running.items()]
         total = sum(count * each(row) for row, count in rows.items()) + sum(still)
+        total += further * (overhead + usual)
         # Not sooner than the longest of those at work, however many cores are free for the others.
         return max([total / max(at_a_time, 1), *still])
 
@@ -117,7 +127,8 @@ class Estimate:
         if not self._predicted or len(self._noted) >= self._due:
             self._due = max(len(self._noted) + 1, len(self._noted) * _AGAIN)
             self._predicted = self._predictions()
-        return self._predicted[row]
+        # What was drawn since then takes as long as others do.
+        return self._predicted[row] if row < len(self._predicted) else None
 
     def _predictions(self) -> list[float | None]:
         # What this sweep measures counts alone where it has measured: the machine may do other things now.
@@ -137,4 +148,7 @@ class Estimate:
         return median(self._beside) if self._beside else 0.0
 
     def _row(self, index: int) -> int:
-        return index // self._repetitions // self._step
+        row = index // self._repetitions // self._step
+        if row >= len(self._settings):
+            self._cover(index // self._repetitions + 1)
+        return row

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from slamhive.data.inspecting.known import FINDINGS, known
 from slamhive.data.store.datasets import DatasetEntry, is_made, materialise
 from slamhive.model.errors import SlamHiveError
-from slamhive.plan import impossible
+from slamhive.plan import impossible, probed
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -27,7 +27,7 @@ def impossible_runs(
     """Yield a sentence on each dataset and mode that won't be run, by what checks and runs found before."""
     for sweep, points in plans:
         found = {name: _known(name, workshop, home) for name in points.dataset_names()}
-        for sentence in impossible(points, found):
+        for sentence in impossible(probed(points), found):
             yield sweep, sentence
 
 

@@ -301,7 +301,14 @@ class Looking:
         return self._edits[key]
 
 
-def sentences(outlook: Outlook, points: Points, *, again: Iterable[int] = (), left_out: int = 0) -> list[str]:
+def sentences(
+    outlook: Outlook,
+    points: Points,
+    *,
+    again: Iterable[int] = (),
+    left_out: int = 0,
+    tells_new: bool = True,
+) -> list[str]:
     """Return the standing of a sweep's runs, in sentences.
 
     Args:
@@ -309,11 +316,12 @@ def sentences(outlook: Outlook, points: Points, *, again: Iterable[int] = (), le
         points: the runs.
         again: those that are done again as someone asked for it.
         left_out: runs that nobody asked for this time.
+        tells_new: whether to say which are new; of a search it is not known which of them are done.
     """
     asked = set(again)
     found = _stale(outlook, points, asked)
     found += [f"{_runs(len(asked))} done again, as asked"] if asked else []
-    found += _new(outlook, points)
+    found += _new(outlook, points) if tells_new else []
     equal = outlook.count(RunStanding.EQUAL)
     found += [f"{equal:,} {'takes' if equal == 1 else 'take'} over an equal result"] if equal else []
     kept = [index for index in outlook.finished if index not in asked]

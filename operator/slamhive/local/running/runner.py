@@ -28,10 +28,12 @@ from slamhive.local.running.attempt import end_left_behind
 from slamhive.local.running.choosing import RunChoice, first_of, twins_among
 from slamhive.local.running.execution import AtWorkElsewhere, RunDriver, RunOrder, RunStep
 from slamhive.local.running.outlook import Looking, Outlook, RunStanding
+from slamhive.local.running.searching import SearchUnderWay
 from slamhive.model.results import Phase, RunRecord
 from slamhive.model.sweep import CachePolicy
 from slamhive.monitor import sweep_stale_cgroups
-from slamhive.plan import whole_cores
+from slamhive.plan import SearchPlan, whole_cores
+from slamhive.sampling import Sampler
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -70,6 +72,7 @@ class Job:
         twins: points that come out as another one does, with its index.
         elsewhere: points that another runner is at, or an equal of which it computes, with what it holds.
         done_elsewhere: number of points that another runner has finished meanwhile.
+        search: which points are wanted, as the results say; None where all are.
         cores_elsewhere: number of cores that other runners have while some are waited for here.
         cpu_seconds: CPU time of the runs finished now and before.
         verdict: where it stands.
@@ -98,8 +101,11 @@ class Job:
     elsewhere: dict[int, tuple[LeaseKind, str]] = field(default_factory=dict)
     done_elsewhere: int = 0
     cores_elsewhere: int = 0
+    search: SearchUnderWay | None = None
 
     def __post_init__(self) -> None:
+        if isinstance(self.points, SearchPlan):
+            self.search = SearchUnderWay(self.points, self.uid, self.run_uid)
         self.states = bytearray(len(self.points))
         self.order = self.points.start_order(look_first=True)
         self.twins = self.points.twins
@@ -124,6 +130,19 @@ class Job:
             if len(found) == len(algorithms):
                 break
         return list(found)
+
+    def follow_search(self) -> None:
+        """Have the points that the search wants now be those that are started."""
+        if self.search is None:
+            return
+        if self.outlook is not None:
+            new = range(len(self.outlook.standing), len(self.states))
+            self.outlook.standing.extend(bytes(len(new)))
+            # Of a list of trials that is lost: what has the place of another run goes aside.
+            self.outlook.aside |= {index for index in new if self.run_uid(index) in self.outlook.seen}
+        self.order, self.cursor = self.search.decision.wanted, 0
+        wanted = sum(self.states[index] == PointState.PENDING for index in self.order)
+        self.left_out = self.count(PointState.PENDING) - wanted
 
     def make_pending(self, index: int) -> None:
         """Have a point begin again that has begun."""
@@ -168,6 +187,7 @@ class Runner:
         watcher: told what happens.
         parallelism: runs at the same time at most; default: as many as fit.
         wish: how much of what is asked for is done.
+        sampler: proposes the settings that searches try.
         begun: called with each job when it is known how its points stand and which are done.
     """
 
@@ -178,6 +198,7 @@ class Runner:
         *,
         parallelism: int | None = None,
         wish: RunChoice = _EVERYTHING,
+        sampler: Sampler | None = None,
         begun: Callable[[Job], None] = lambda _: None,
     ) -> None:
         self._bench = bench
@@ -194,6 +215,7 @@ class Runner:
         self._interrupted = False
         self._stopped: set[str] = set()
         self._looking = Looking(bench, making=True)
+        self._sampler = sampler or Sampler()
 
     def run(self, jobs: Sequence[Job]) -> bool:
         """Bring jobs to their end, one after another.
@@ -221,6 +243,7 @@ class Runner:
         finally:
             self._bench.archive.patience = None
             claims.give_back_all()
+            self._sampler.close()
         return self._interrupted
 
     def interrupt(self, *, making: bool = True) -> None:
@@ -245,6 +268,10 @@ class Runner:
                 evaluation=sweep.spec.evaluation.as_json(),
             )
         )
+        if job.search is not None:
+            anew = wish.rerun or sweep.spec.cache_policy is not CachePolicy.REUSE
+            job.search.begin(archive, None if anew else looking.content)
+            job.states = bytearray(len(job.points))
         job.outlook = looking.look(sweep.name, job.uid, job.points, job.run_uid)
         if wish.rerun:
             job.again |= set(job.outlook.finished)
@@ -285,16 +312,22 @@ class Runner:
         for thread in self._threads:
             thread.join()
         self._threads.clear()
+        if job.search is not None:
+            job.search.end(self._bench.archive)
 
     def _lead(self, job: Job, jobs: Sequence[Job]) -> None:
         job.started_at = time.monotonic()
+        self._advance(job)
         names = job.next_of(missing(self._bench, job.points.algorithm_names()))
         stopped, most = (lambda: job.uid in self._stopped), job.at_a_time - 1
         self._threads += make_ahead(names, self._bench, self._cores, most, stopped)
         while True:
+            self._advance(job)
             decision = self._decide(job)
             job.cursor = decision.cursor
             job.verdict, job.message = decision.verdict, decision.message
+            if job.search is not None and decision.verdict is Verdict.COMPLETE:
+                job.message = job.search.decision.message
             if decision.verdict.is_final or self._interrupted:
                 if job.uid not in self._stopped:
                     self._stop(job)
@@ -310,6 +343,14 @@ class Runner:
                     break
             self._wait(jobs)
 
+    def _advance(self, job: Job) -> None:
+        """Have a search go on as far as results say."""
+        if job.search is None or job.sweep.spec.suspend or job.uid in self._stopped:
+            return
+        archive = self._bench.archive
+        job.search.advance(archive, job.states, self._sampler, lambda: not self._interrupted)
+        job.follow_search()
+
     def _decide(self, job: Job) -> SweepDecision:
         seen = SweepObserved(
             states=job.states,
@@ -321,6 +362,7 @@ class Runner:
             cursor=job.cursor,
             twins=job.twins,
             left_out=job.left_out,
+            is_open=job.search is not None and not job.search.decision.is_over,
         )
         return decide_sweep(job.sweep.spec, seen, time.monotonic())
 
