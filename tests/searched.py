@@ -73,7 +73,9 @@ def run_of(plan: SearchPlan, index: int, *, taken: bool = False) -> RunRecord:
     )
 
 
-def searched(sweep: Sweep, most_runs: int | None = None, known: int = 0) -> tuple[SearchPlan, Mapping[int, Any]]:
+def searched(
+    sweep: Sweep, most_runs: int | None = None, known: int = 0
+) -> tuple[SearchPlan, Mapping[int, Any]]:
     """Go through a search as its drivers do; settings are drawn by chance, whatever its method.
 
     Args:

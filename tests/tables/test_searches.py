@@ -10,17 +10,20 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 
-from searched import ERROR, fill_search, sweep_of
+from searched import ERROR, fill_search, searched, sweep_of
 from slamhive.analysis.grouping import aggregate, without_chosen
 from slamhive.analysis.leaderboard import leaderboard
+from slamhive.analysis.searching import records_frame
 from slamhive.archive import Archive
 from slamhive.cli.main import main
+from slamhive.figures.asking import FigureKind, Wish
+from slamhive.figures.searches import search
 from slamhive.model.errors import InputError
 from slamhive.model.search import choosing_method
 from slamhive.model.sweep import Sweep
 from slamhive.plan import FixedCatalog, Plan
 from slamhive.tables.reading import read_table
-from slamhive.tables.searches import LEAST_TRIALS, plan_of, story_of
+from slamhive.tables.searches import LEAST_TRIALS, plan_of, story_of, tell
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -49,7 +52,9 @@ def told(home: Path) -> Iterator[Callable[[str], SearchStory]]:
     yield lambda name: story_of(records[name], frame)
 
 
-def run(capsys: pytest.CaptureFixture[str], home: Path, monkeypatch: Any, *words: str) -> tuple[int, str, str]:
+def run(
+    capsys: pytest.CaptureFixture[str], home: Path, monkeypatch: Any, *words: str
+) -> tuple[int, str, str]:
     monkeypatch.setenv("SLAMHIVE_HOME", str(home))
     monkeypatch.setattr("sys.argv", ["slamhive", *words])
     try:
@@ -203,6 +208,36 @@ def test_results_that_a_search_chose_are_marked_and_left_out_of_boards(home: Pat
 )
 def test_what_looks_at_no_results_is_a_fair_sample(search: Any, method: str | None) -> None:
     assert choosing_method({} if search is None else {"search": search}) == method
+
+
+def test_of_a_threshold_the_values_are_told_and_none_is_the_best() -> None:
+    body = sweep_of("edge").model_dump(mode="json", by_alias=True, exclude_unset=True)
+    body["spec"]["search"] = {"method": "Threshold", "axis": "parameters.voxelSize", "tolerance": 0.2}
+    body["spec"]["matrix"] = body["spec"]["matrix"][:2]
+    plan, records = searched(Sweep.model_validate(body))
+    frame = records_frame(list(records.values()))
+    story = tell(plan, None, frame)
+    assert story.is_over
+    assert (story.best, story.influences) == ((), ())
+    assert [trial.values for trial in story.trials] == [
+        dict(zip(("dataset", "parameters.voxelSize"), trial.values, strict=True)) for trial in plan.trials
+    ]
+    failing = {
+        trial.values["parameters.voxelSize"] > 1.7 or trial.values["parameters.voxelSize"] < 0.12
+        for trial in story.trials
+        if trial.failed == 1
+    }
+    assert failing == {True}
+
+
+def test_a_figure_says_what_its_curve_averaged(told: Any) -> None:
+    curve = search(told("tune"), Wish(FigureKind.SEARCH)).settled()
+    assert "the mean over 2 values of dataset, of each the mean of 2 runs" in curve.notes[0]
+    assert len(curve.columns["setting"]) == len(told("tune").trials)
+    front = search(told("front"), Wish(FigureKind.SEARCH)).settled()
+    assert front.y.label.startswith("CPU time")
+    with pytest.raises(InputError, match="has its objectives along its axes"):
+        search(told("tune"), Wish(FigureKind.SEARCH, x="ate.rmse"))
 
 
 def test_figures_are_finite(told: Any) -> None:
