@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Archives that hold a search: settings are drawn by chance, runs are made up, decisions are the real ones."""
+"""Archives that hold a search: settings by chance, runs that are made up, and the real decisions."""
 
 from __future__ import annotations
 

@@ -12,7 +12,6 @@ from slamhive.archive import Archive
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
 
 pytestmark = pytest.mark.browser
 
