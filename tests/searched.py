@@ -89,6 +89,10 @@ def searched(
         decision = decide(search, plan, runs_seen(records, search))
         if decision.is_over or len(records) == most_runs:
             return plan, records
+        if decision.draws:
+            for trial in decision.draws:
+                plan.draw(trial)
+            continue
         if decision.told is not None:
             values = [10 ** chance.uniform(-1, 0.301), chance.choice([20, 40]), chance.random() < 0.5]
             plan.draw(Trial(values=values, told=decision.told))
