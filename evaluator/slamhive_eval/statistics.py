@@ -77,6 +77,17 @@ def _median(errors: FloatArray) -> float:
     return float(np.mean(middle[lower : upper + 1]))
 
 
+def wilson(count: int, total: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Ends of Wilson's interval of a share (Wilson 1927), count of total ≥ 1."""
+    from statistics import NormalDist  # noqa: PLC0415 - it takes longer than all of this module
+
+    z = NormalDist().inv_cdf((1.0 + confidence) / 2.0)
+    share = count / total
+    centre = (share + z * z / (2 * total)) / (1 + z * z / total)
+    half = z / (1 + z * z / total) * math.sqrt(share * (1 - share) / total + (z / (2 * total)) ** 2)
+    return max(0.0, centre - half), min(1.0, centre + half)
+
+
 @cache
 def student_quantile(share: float, degrees: int) -> float:
     """The x that Student's t stays below with the given probability.

@@ -46,7 +46,10 @@ def test_poor_settings_get_few_runs_and_the_best_gets_all() -> None:
     runs, trials = go_through(asked())
     decision = decide_search(asked(), Rows(), trials, runs, 20)
     assert len(runs) < 20 * Rows.block * 0.6
-    assert [one.number for one in best_of(decision.standings)] == [13, 19]  # 16, which has the smallest error, failed once
+    assert [one.number for one in best_of(decision.standings)] == [
+        13,
+        19,
+    ]  # 16, which has the smallest error, failed once
     assert decision.standings[3].dropped == "all of its 1 runs failed"
     assert decision.standings[18].dropped == "after 1 of 6 runs 10 of 18 were better"
 

@@ -36,6 +36,7 @@ import {
 } from '../../operator/slamhive/dashboard/static/charts/scatter.js';
 import { scores, standings } from '../../operator/slamhive/dashboard/static/charts/standings.js';
 import { truthChart } from '../../operator/slamhive/dashboard/static/charts/truth.js';
+import { reachChart } from '../../operator/slamhive/dashboard/static/charts/reach.js';
 import { spreadChart, suspectChart } from '../../operator/slamhive/dashboard/static/charts/spread.js';
 import { overTime, plane } from '../../operator/slamhive/dashboard/static/charts/trajectory.js';
 import { dressed } from '../../operator/slamhive/dashboard/static/core/chart.js';
@@ -137,6 +138,27 @@ const played = (...rows) => ({
     figures: { 'ate.rmse': { median: final }, 'beside.online.ate.rmse': { median: first } },
   })),
 });
+const AXIS = { name: 'input.rate', title: 'rate', label: 'rate', factor: 1 };
+/** A system that passes up to 2, or as is said. */
+const reached = (name, more = {}) => ({
+  name,
+  cell: {
+    status: 'found',
+    falls: false,
+    passing: 2,
+    failing: 3,
+    sure: [1, null],
+    sentence: name,
+    runs: 12,
+    values: [1, 2, 3, 4].map((value) => ({
+      value,
+      failed: value > 2 ? 3 : 0,
+      known: 3,
+      share: Number(value > 2),
+    })),
+    ...more,
+  },
+});
 const LINE = { x: 'parameters.n', y: 'ate.rmse', figure: 'median', xlog: false, ylog: false };
 const SCATTER = { xlog: false, ylog: false };
 
@@ -168,6 +190,7 @@ const CHARTS = {
       metric: {},
       groups: [{ keys: { algorithm: text }, n: 2, verdict: text, figure: { median: 1, min: 0.5, max: 2 } }],
     }).option,
+  reach: (text) => reachChart(AXIS, [reached(text), { name: 'never run', cell: null }]).option,
   suspects: (text) => suspectChart([{ keys: { algorithm: text }, scale: 1.04, spread: 0.01, n: 3 }]).option,
   plane: (text) => plane([track(text), track('b', [0, 1, null, 3])], [track(text)], 'x', 'y', null),
   'plane by error': (text) => plane([track(text, [0, 1, null, 3])], [], 'x', 'z', { low: 0, high: 3 }),
@@ -207,6 +230,44 @@ for (const [name, make] of Object.entries(CHARTS))
         assert.doesNotMatch(told, /undefined|NaN|\[object/);
       }
   });
+
+test('a bar ends where it last passes, and goes on where nothing fails', () => {
+  const rows = [
+    reached('breaks'),
+    reached('never', { status: 'never fails', passing: 4, failing: null }),
+    reached('always', { status: 'always fails', passing: null, failing: 1 }),
+    reached('falls', { falls: true, passing: 3, failing: 2, sure: [null, 4] }),
+    reached('odd', { status: 'not monotone' }),
+  ];
+  const [bars, sure, passes, fails, open] = reachChart(AXIS, rows)
+    .option(SIZE)
+    .series.map(({ data }) => data);
+  assert.deepEqual(bars, [
+    [1, 2, 0],
+    [1, 4, 1],
+    [4, 3, 3],
+  ]);
+  assert.deepEqual(sure, [
+    [1, 4, 0],
+    [1, 4, 3],
+  ]);
+  /** @param {any[]} marks */
+  const places = (marks) => marks.map(({ value }) => value);
+  assert.deepEqual(places(open), [[4, 1]]);
+  assert.deepEqual(places(fails), [
+    [3, 0],
+    [1, 2],
+    [2, 3],
+    [3, 4],
+    [4, 4],
+  ]);
+  assert.deepEqual(places(passes), [
+    [2, 0],
+    [3, 3],
+    [1, 4],
+    [2, 4],
+  ]);
+});
 
 test('kept answers of a dashboard are drawn', () => {
   const data = answer('/analysis/points');

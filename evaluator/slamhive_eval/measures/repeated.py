@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive_eval.errors import OptionError
-from slamhive_eval.statistics import student_quantile
+from slamhive_eval.statistics import student_quantile, wilson
 from slamhive_eval.trajectory import LARGEST_METRES
 
 if TYPE_CHECKING:
@@ -213,8 +213,5 @@ def _bca(values: FloatArray, seed: int) -> tuple[float, float]:
 
 def _success(values: FloatArray, runs: int, threshold: float) -> SuccessRate:
     count = int(np.count_nonzero(values <= threshold))
-    z = NormalDist().inv_cdf((1.0 + CONFIDENCE) / 2.0)
-    rate = count / runs
-    centre = (rate + z * z / (2 * runs)) / (1 + z * z / runs)
-    half = z / (1 + z * z / runs) * math.sqrt(rate * (1 - rate) / runs + (z / (2 * runs)) ** 2)
-    return SuccessRate(float(threshold), count, rate, max(0.0, centre - half), min(1.0, centre + half))
+    low, high = wilson(count, runs, CONFIDENCE)
+    return SuccessRate(float(threshold), count, count / runs, low, high)

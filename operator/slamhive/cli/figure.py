@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +16,7 @@ from slamhive.analysis.grouping import where_equal
 from slamhive.analysis.metrics import declared_units
 from slamhive.cli.parts.choosing import Also, EvaluationName, Superseded, Sweeps, Where, choose_runs, select
 from slamhive.cli.parts.console import remark
+from slamhive.cli.parts.robustness import FailingRule, Quantile, card_wish
 from slamhive.cli.searches import told
 from slamhive.figures.asking import FigureKind, Log, Wish
 from slamhive.figures.making import form_of, numbers_file, picture, save
@@ -98,6 +100,8 @@ def figure(
     published: Annotated[
         bool, typer.Option("--published", help="Add published numbers on the same datasets, as hollow marks.")
     ] = False,
+    failing: FailingRule = None,
+    quantile: Quantile = None,
     where: Where = None,
     sweep: Sweeps = None,
     evaluation: EvaluationName = None,
@@ -131,6 +135,11 @@ def figure(
         raise InputError(
             f"NAME: {name!r} means nothing to figure {kind.value}; --sweep chooses runs of a sweep"
         )
+    if kind is FigureKind.ROBUSTNESS:
+        wish.refuse(y="--y: a robustness card shows axes alone, --x", by="--by: a row is a system already")
+        wish = replace(wish, robustness=card_wish(x, failing, quantile))
+    elif failing is not None or quantile is not None:
+        raise InputError("--failing, --quantile: a rule for robustness alone")
     selection = select(sweep, evaluation, where, superseded=superseded)
     home = Home.from_environment()
     others = homes_beside(home, also)

@@ -42,7 +42,7 @@ from slamhive.engine.sweep import (
     Verdict,
     decide_sweep,
 )
-from slamhive.engine.threshold import Tally, decide_threshold, tallies
+from slamhive.engine.threshold import ValueTally, decide_threshold, tallies
 
 __all__ = [
     "AttemptEnd",
@@ -64,8 +64,8 @@ __all__ = [
     "StopPoints",
     "SweepDecision",
     "SweepObserved",
-    "Tally",
     "TrialStanding",
+    "ValueTally",
     "VariantState",
     "Verdict",
     "best_of",

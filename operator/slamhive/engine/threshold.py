@@ -4,7 +4,8 @@
 ``decide_threshold`` is pure, and follows from results alone and not from the order in which they came.
 Each combination of the other axes is a series with a bisection of its own, whose turns are: both ends of the
 axis; the value in the middle between the last that passes and the first that fails, until none is between
-them; then one in the middle of the widest gap on each side, which tells whether failing is monotone.
+them; where repetitions at these two disagree, a few values next to them, until they agree; then one in the
+middle of the widest gap on each side, which tells whether failing is monotone.
 
 Trials are numbered by turn, and within a turn by series: one is drawn as soon as all before it are, which
 needs of the other series their results of the turn before, or of this one. So numbers follow from results,
@@ -13,12 +14,13 @@ and a slow series holds others up by one turn, not by a whole bisection.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from slamhive.engine.searching import Score, SearchDecision, TrialStanding
-from slamhive.model.search import VALUES_UNKNOWN, Trial
+from slamhive.model.search import VALUES_NEAR, VALUES_UNKNOWN, Trial
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Mapping, Sequence
@@ -28,11 +30,9 @@ if TYPE_CHECKING:
     from slamhive.plan.ladder import Ladder
     from slamhive.plan.searching import SearchSpace
 
-    _Steps = Generator[tuple[int, ...], list[bool | None], None]
-
 
 @dataclass(frozen=True)
-class Tally:
+class ValueTally:
     """Runs at a value.
 
     Attributes:
@@ -50,16 +50,25 @@ class Tally:
         """Return the share that failed; not a number where nothing is known."""
         return self.failed / self.known if self.known else math.nan
 
+    @property
+    def is_mixed(self) -> bool:
+        """Tell whether some runs failed and others did not."""
+        return 0 < self.failed < self.known
+
     def fails(self, quantile: float) -> bool | None:
         """Tell whether as large a share failed as makes the value fail; None where nothing is known."""
         return self.share >= quantile if self.known else None
+
+
+if TYPE_CHECKING:
+    _Steps = Generator[tuple[int, ...], list[ValueTally], None]
 
 
 @dataclass(frozen=True)
 class _Judged:
     """What is known of a trial, and which of its runs are missing for more."""
 
-    tally: Tally
+    tally: ValueTally
     missing: tuple[int, ...]
     runs: int
 
@@ -88,7 +97,7 @@ def decide_threshold(
     wanted = tuple(index for one in judged for index in one.missing)
     seen = _by_series(space, trials, judged)
     turns = {
-        place: _turn(search, space.ladder, seen.get(space.key(series), {}))
+        place: _turn(search, space.ladder, seen.get(space.series_key(series), {}))
         for place, series in enumerate(space.series)
     }
     # What waits for results draws its next turn after them: no later one may be numbered before that.
@@ -109,12 +118,12 @@ def decide_threshold(
 
 def tallies(
     search: Search, space: SearchSpace, trials: Sequence[Trial], runs: Mapping[int, RunSeen]
-) -> list[tuple[tuple[Any, ...], list[Tally]]]:
+) -> list[tuple[tuple[Any, ...], list[ValueTally]]]:
     """Return the runs at each value that was tried, lowest first, for each series."""
     judged = [_judged(search, space, number, trial, runs) for number, trial in enumerate(trials)]
     seen = _by_series(space, trials, judged)
     return [
-        (series, [one.tally for _, one in sorted(seen.get(space.key(series), {}).items())])
+        (series, [one.tally for _, one in sorted(seen.get(space.series_key(series), {}).items())])
         for series in space.series
     ]
 
@@ -128,7 +137,7 @@ def _by_series(
         series, value = space.part(trial.values)
         rung = space.ladder.rung(value)
         if rung is not None:
-            found.setdefault(space.key(series), {}).setdefault(rung, one)
+            found.setdefault(space.series_key(series), {}).setdefault(rung, one)
     return found
 
 
@@ -151,14 +160,14 @@ def _judged(
         size = done + more
         missing = tuple(index for index in order[done:size] if index not in runs)
         if missing or more <= 0:
-            return _Judged(Tally(value, failed, len(known)), missing, done)
+            return _Judged(ValueTally(value, failed, len(known)), missing, done)
         done = size
 
 
 def _turn(search: Search, ladder: Ladder, seen: Mapping[int, _Judged]) -> _Turn:
     """Return the turn at which a series is."""
     number = 0
-    steps = _steps(ladder)
+    steps = _steps(ladder, search.failing.quantile)
     rungs = next(steps)
     while True:
         new = tuple(rung for rung in rungs if rung not in seen)
@@ -168,16 +177,17 @@ def _turn(search: Search, ladder: Ladder, seen: Mapping[int, _Judged]) -> _Turn:
         if any(one.missing for one in found):
             return _Turn(number, is_pending=True)
         try:
-            rungs = steps.send([one.tally.fails(search.failing.quantile) for one in found])
+            rungs = steps.send([one.tally for one in found])
         except StopIteration:
             return _Turn(number)
         number += 1
 
 
-def _steps(ladder: Ladder) -> _Steps:
-    """Yield the rungs of each turn, and receive whether each of them fails."""
+def _steps(ladder: Ladder, quantile: float) -> _Steps:
+    """Yield the rungs of each turn, and receive what became of them."""
     last = len(ladder) - 1
-    ends = yield (0, last)
+    found = dict(zip((0, last), (yield (0, last)), strict=True))
+    ends = [one.fails(quantile) for one in found.values()]
     if None in ends:
         return
     if ends[0] == ends[1]:
@@ -185,23 +195,36 @@ def _steps(ladder: Ladder) -> _Steps:
             yield (ladder.between(0, last),)
         return
     low, high = 0, last
-    tried, unknown = {0, last}, set[int]()
-    while high - low > 1 and len(unknown) < VALUES_UNKNOWN:
-        middle = ladder.between(low, high)
-        free = [rung for rung in _around(middle, low, high) if rung not in unknown]
-        if not free:
+    while high - low > 1:
+        free = [rung for rung in _around(ladder.between(low, high), low, high) if rung not in found]
+        if not free or sum(not one.known for one in found.values()) >= VALUES_UNKNOWN:
             break
-        (fails,) = yield (free[0],)
-        if fails is None:
-            unknown.add(free[0])
-            continue
-        tried.add(free[0])
-        if fails == ends[0]:
-            low = free[0]
-        else:
-            high = free[0]
-    sides = ([r for r in sorted(tried) if r <= low], [r for r in sorted(tried) if r >= high])
-    checks = tuple(rung for side in sides for rung in _widest(ladder, side) if rung not in unknown)
+        rung = free[0]
+        (found[rung],) = yield (rung,)
+        fails = found[rung].fails(quantile)
+        low, high = (rung, high) if fails == ends[0] else (low, rung) if fails == ends[1] else (low, high)
+    yield from _beside(ladder, found, low, high)
+
+
+def _beside(ladder: Ladder, found: dict[int, ValueTally], low: int, high: int) -> _Steps:
+    """Yield values next to a threshold while repetitions disagree, then two far from it."""
+    known = sorted(rung for rung, one in found.items() if one.known)
+    sides = [[rung for rung in known if rung <= low], [rung for rung in known if rung >= high]]
+    edges, spent, inner = [low, high], 0, (low, high)
+    while spent < VALUES_NEAR and any(found[edge].is_mixed for edge in edges):
+        moved = False
+        for side, step in enumerate((-1, 1)):
+            rung = edges[side] + step
+            wanted = edges[side] == inner[side] or found[edges[side]].is_mixed
+            if not wanted or not 0 <= rung < len(ladder) or spent == VALUES_NEAR:
+                continue
+            if rung not in found:
+                (found[rung],) = yield (rung,)
+                spent += 1
+            edges[side], moved = rung, True
+        if not moved:
+            break
+    checks = tuple(rung for side in sides for rung in _widest(ladder, side) if rung not in found)
     if checks:
         yield checks
 
@@ -216,7 +239,7 @@ def _around(middle: int, low: int, high: int) -> Iterator[int]:
 
 def _widest(ladder: Ladder, rungs: Sequence[int]) -> tuple[int, ...]:
     """Return the rung in the middle of the widest gap; nothing where there is no gap."""
-    gaps = [(later - rung, -rung) for rung, later in zip(rungs, rungs[1:], strict=False)]
+    gaps = [(later - rung, -rung) for rung, later in itertools.pairwise(rungs)]
     width, start = max(gaps, default=(0, 0))
     return (ladder.between(-start, width - start),) if width > 1 else ()
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from slamhive.analysis.frame import Frame
+    from slamhive.analysis.robustness import RobustnessWish
 
 MOST_PANELS = 12
 MOST_SERIES = 12
@@ -45,6 +46,7 @@ class FigureKind(Choice):
     ECDF = "ecdf"
     REPETITIONS = "repetitions"
     SEARCH = "search"
+    ROBUSTNESS = "robustness"
 
     @property
     def is_of_files(self) -> bool:
@@ -82,6 +84,7 @@ class Wish:
         log: which axes are logarithmic.
         robust: whether a few numbers far out may be left outside.
         each: whether every run is drawn, where one would stand for several.
+        robustness: what a robustness card is asked for by; None of other kinds.
     """
 
     kind: FigureKind
@@ -94,6 +97,7 @@ class Wish:
     log: Log = Log.AUTO
     robust: bool = True
     each: bool = False
+    robustness: RobustnessWish | None = None
 
     def columns(self, field: str, default: Sequence[str], frame: Frame) -> tuple[str, ...]:
         """Return the columns that an option names; of the default ones those that vary.

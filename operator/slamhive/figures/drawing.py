@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.measures import Better
-from slamhive.figures.pictures import Box, Dots, Line, MissingMark, PictureAxis, Ranges, Tiles
+from slamhive.figures.pictures import Box, Dots, Line, MissingMark, PictureAxis, Ranges, Reach, Tiles
+from slamhive.figures.reaching import draw_reach
 from slamhive.figures.styles import SCALE, Style
 from slamhive.figures.widths import MM
 from slamhive.model import extras
@@ -97,7 +98,9 @@ class Drawing:
             w_pad=0.3 * self._em, h_pad=0.3 * self._em, wspace=0.02, hspace=0.02
         )
         share: Any = not picture.apart
-        grid = self.figure.subplots(down, self._across, squeeze=False, sharex=share, sharey=share)
+        grid = self.figure.subplots(
+            down, self._across, squeeze=False, sharex=share and not picture.has_own_axes, sharey=share
+        )
         self._axes = list(chain(*grid))
 
     def draw(self) -> Any:
@@ -137,6 +140,8 @@ class Drawing:
         wide = inches / self._across
         room = 3.2 * em  # for the axis' name and numbers
         categories = picture.y.categories
+        if picture.has_own_axes:
+            return self._down * (len(categories) * 2.1 * em + 3.9 * em)
         if categories and picture.colour is not None:
             tall = max(0.45 * wide, len(categories) * 2.0 * em + 2 * em)
         else:
@@ -183,13 +188,13 @@ class Drawing:
     def _prepare(self, axes: Any, number: int) -> None:
         picture = self._picture
         axes.set_axisbelow(True)
-        for side, axis in (("x", picture.x), ("y", picture.y)):
+        for side, axis in (("x", picture.panels[number].x or picture.x), ("y", picture.y)):
             self._prepare_axis(axes, side, axis)
         for place in ("top", "right"):
             axes.spines[place].set_visible(picture.colour is not None)
         if picture.equal:
             axes.set_aspect("equal", adjustable="datalim")
-        if not picture.apart:
+        if not picture.apart and not picture.has_own_axes:
             axes.label_outer()
             # The last of a column keeps its numbers where the row below it is shorter.
             below = number + self._across
@@ -283,8 +288,9 @@ class Drawing:
         wide = self._room()
         tall = self.figure.get_size_inches()[1] / self._down * (0.6 if self._legend else 0.8)
         for number, axes in enumerate(self._axes[:count]):
-            if picture.apart or number + self._across >= count:
-                axes.set_xlabel(_wrapped(picture.x.label, wide, size), fontsize=size)
+            own = picture.panels[number].x
+            if picture.apart or own is not None or number + self._across >= count:
+                axes.set_xlabel(_wrapped((own or picture.x).label, wide, size), fontsize=size)
             if picture.apart or number % self._across == 0:
                 axes.set_ylabel(_wrapped(picture.y.label, tall, size), fontsize=size)
 
@@ -302,6 +308,8 @@ class Drawing:
                 self._box(axes, mark)
             case Tiles():
                 return self._tiles(axes, mark)
+            case Reach():
+                draw_reach(axes, mark, self._points)
         return None
 
     def _dots(self, axes: Any, mark: Dots) -> None:

@@ -58,7 +58,10 @@ def _picture(frame: Frame, wish: Wish, home: Home, also: Sequence[Beside], *, pu
         from slamhive.figures.paths import paths  # noqa: PLC0415
 
         return paths(frame, wish, home, also).settled()
-    from slamhive.figures import groups, singles  # noqa: PLC0415
+    from slamhive.figures import groups, robustness, singles  # noqa: PLC0415
+
+    if wish.robustness is not None:
+        return robustness.reaches(frame, wish.robustness).settled()
 
     if wish.kind is FigureKind.SCATTER:
         return singles.scatter(frame, wish, _published(frame, home) if published else ()).settled()

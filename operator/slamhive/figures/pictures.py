@@ -159,15 +159,48 @@ class MissingMark:
     count: int
 
 
-Mark = Dots | Line | Ranges | Box | Tiles | MissingMark
+@dataclass(frozen=True)
+class Reach:
+    """How far a system goes along an axis until it fails.
+
+    Attributes:
+        row: its place along y.
+        start, end: where the bar begins, and the last value that passes.
+        failing: the first value that fails; None where none does.
+        sure: values between which the threshold lies; None for an end that isn't known.
+        is_open: whether it goes on beyond what was tried.
+        text: counts.
+        shares: values one by one with the share that failed, where no bar would be true.
+        series: of no series.
+    """
+
+    row: int
+    start: float
+    end: float
+    failing: float | None = None
+    sure: tuple[float | None, float | None] | None = None
+    is_open: bool = False
+    text: str = ""
+    shares: tuple[tuple[float, float], ...] = ()
+    series: int = -1
+
+
+Mark = Dots | Line | Ranges | Box | Tiles | MissingMark | Reach
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One plot of several."""
+    """One plot of several.
+
+    Attributes:
+        title: its title.
+        marks: what it shows.
+        x: its own axis along x; None for the one of the picture.
+    """
 
     title: str
     marks: tuple[Mark, ...]
+    x: PictureAxis | None = None
 
 
 @dataclass(frozen=True)
@@ -217,12 +250,21 @@ class Picture:
         )
         tiles = [mark.values.ravel() for mark in marks if isinstance(mark, Tiles)]
         colour = self.colour and _settled(self.colour, tiles)
+        panels = tuple(
+            panel if panel.x is None else replace(panel, x=_settled(panel.x, [np.array(panel.x.ends or ())]))
+            for panel in picture.panels
+        )
         notes = list(self.notes)
         for axis, side in ((x, "x"), (y, "y"), (colour, "")):
             if axis is not None and axis.limits is not None and axis.limits.outside:
                 numbers = [one for mark in marks for one in _numbers(mark, side)] if side else tiles
                 notes += _outside(axis, numbers, scale=not side)
-        return replace(picture, x=x, y=y, colour=colour, notes=tuple(notes))
+        return replace(picture, x=x, y=y, panels=panels, colour=colour, notes=tuple(notes))
+
+    @property
+    def has_own_axes(self) -> bool:
+        """Tell whether panels have an axis of their own along x."""
+        return any(panel.x is not None for panel in self.panels)
 
     def _renumbered(self) -> Picture:
         """Return the picture with those series alone that are drawn, counted from 0."""

@@ -18,6 +18,8 @@ MAX_TRIALS = 5_000
 """The most settings that a search may try: its trials are kept in the Sweep's status."""
 VALUES_BESIDE = 2
 """Values that are tried beside a threshold that was found, to see whether failing is monotone."""
+VALUES_NEAR = 4
+"""Values that are tried next to a threshold at most, where repetitions disagree."""
 VALUES_UNKNOWN = 2
 """Values of which nothing becomes known after which a threshold is left as wide as it is."""
 

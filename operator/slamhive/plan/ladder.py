@@ -37,6 +37,7 @@ class Ladder:
     def __init__(self, axis: SearchedAxis, tolerance: float | None = None) -> None:
         self.label, self.is_log = axis.label, axis.is_log
         where = axis.dimension.where
+        self._rungs: dict[float, int | None] = {}
         ends = axis.ends
         self._values: list[Any] | range | None = None
         if ends is None:
@@ -75,8 +76,10 @@ class Ladder:
 
     def rung(self, value: float) -> int | None:
         """Return the place of a number; None where it isn't one of them."""
-        place = bisect.bisect_left(range(len(self)), value, key=self.__getitem__)
-        return place if place < len(self) and self[place] == value else None
+        if value not in self._rungs:
+            place = bisect.bisect_left(range(len(self)), value, key=self.__getitem__)
+            self._rungs[value] = place if place < len(self) and self[place] == value else None
+        return self._rungs[value]
 
     def between(self, low: int, high: int) -> int:
         """Return the rung in the middle of two, of whole numbers on a logarithmic range by their ratio."""
@@ -111,7 +114,7 @@ def _parts(ends: tuple[float, float], tolerance: float | None, where: str, *, is
     halvings = max(0, math.ceil(math.log2(parts) - 1e-9))
     if halvings > _MOST_HALVINGS:
         raise InputError(
-            f"spec.search.tolerance: {tolerance:g} is too fine for {low:g} to {high:g}, which would have to be "
-            f"halved {halvings} times; at most {_MOST_HALVINGS} are allowed"
+            f"spec.search.tolerance: {tolerance:g} is too fine for {low:g} to {high:g}, which would have to "
+            f"be halved {halvings} times; at most {_MOST_HALVINGS} are allowed"
         )
     return int(2**halvings)

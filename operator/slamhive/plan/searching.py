@@ -18,7 +18,14 @@ from typing import TYPE_CHECKING, Any, get_args
 from slamhive.model.algorithm import ParameterType
 from slamhive.model.canonical import normalize
 from slamhive.model.errors import InputError
-from slamhive.model.search import MAX_TRIALS, VALUES_BESIDE, VALUES_UNKNOWN, SearchMethod, Trial
+from slamhive.model.search import (
+    MAX_TRIALS,
+    VALUES_BESIDE,
+    VALUES_NEAR,
+    VALUES_UNKNOWN,
+    SearchMethod,
+    Trial,
+)
 from slamhive.model.sweep import MAX_POINTS
 from slamhive.plan.catalog import FixedCatalog
 from slamhive.plan.expansion import Plan
@@ -156,6 +163,8 @@ class SearchSpace:
         across = [name for name in search.across or () if name in labels]
         if search.across is None and not self.is_threshold:
             across = [axis.label for axis in dimensions if axis.path == DATASET]
+        if self.is_threshold and search.axis in across:
+            raise InputError(f"spec.search.axis: {search.axis} is one of search.across; name another axis")
         over = [axis for axis in dimensions if axis.label in across]
         searched = [axis for axis in dimensions if axis.label not in across]
         for axis in over:
@@ -200,11 +209,7 @@ class SearchSpace:
     def _seek(self, search: Search, template: Settings, excluded: Sequence[Mapping[str, Any]]) -> None:
         """Lay out the seeking of thresholds: an axis, and a series for each combination of the others."""
         labels = [axis.label for axis in self.axes]
-        if search.axis not in labels:
-            raise InputError(
-                f"spec.search.axis: {search.axis} is one of search.across, nothing of it is sought"
-            )
-        self.sought = labels.index(search.axis)
+        self.sought = labels.index(search.axis or "")
         self.ladder = Ladder(self.axes[self.sought], search.tolerance)
         for axis in self.axes:
             if axis.ends is not None and axis.label != search.axis:
@@ -213,7 +218,7 @@ class SearchSpace:
                 )
         if any(search.axis in entry for entry in excluded):
             raise InputError(
-                f"spec.exclude: a threshold is sought between all values of {search.axis}; leave some out there"
+                f"spec.exclude: names {search.axis}, whose threshold is sought; leave values out of the axis"
             )
         others = [axis.dimension for axis in self.axes if axis.label != search.axis]
         grid = Grid(others, template, [], excluded)
@@ -224,14 +229,15 @@ class SearchSpace:
         most = len(self.series) * self.values_at_most
         if most > MAX_TRIALS:
             raise InputError(
-                f"spec.matrix: {len(self.series)} thresholds of up to {self.values_at_most} values each = {most}"
-                f" values, at most {MAX_TRIALS} are allowed"
+                f"spec.matrix: {len(self.series)} thresholds of up to {self.values_at_most} values each are "
+                f"{most}, at most {MAX_TRIALS} are allowed"
             )
 
     @property
     def values_at_most(self) -> int:
-        """Return how many values are tried for a threshold at most: ends, halvings, and two beside them."""
-        return min(len(self.ladder), 2 + self.ladder.halvings + VALUES_BESIDE + VALUES_UNKNOWN)
+        """Return how many values are tried for a threshold at most: ends, halvings, and a few beside."""
+        more = VALUES_NEAR + VALUES_BESIDE + VALUES_UNKNOWN
+        return min(len(self.ladder), 2 + self.ladder.halvings + more)
 
     @property
     def block(self) -> int:
@@ -295,6 +301,10 @@ class SearchSpace:
         """Return the values on the axes besides the one whose threshold is sought, and the one on that."""
         place = self.sought
         return (*values[:place], *values[place + 1 :]), values[place]
+
+    def series_key(self, series: Sequence[Any]) -> str:
+        """Return a text that is equal for equal values on the axes besides the sought one."""
+        return _key(list(series))
 
     def joined(self, series: Sequence[Any], value: Any) -> list[Any]:
         """Return the values on all axes: the inverse of ``part``."""

@@ -519,6 +519,22 @@ declare namespace Api {
   };
   type Repeatability = { metric: Heading; groups: Repeated[]; notes: string[] };
 
+  type ThresholdCell = {
+    status: string;
+    falls: boolean | null;
+    passing: number | null;
+    failing: number | null;
+    sure: Array<number | null>;
+    sentence: string;
+    runs: number;
+    values: { value: number; failed: number; known: number; share: number | null }[];
+  };
+  type Robustness = {
+    axes: Heading[];
+    systems: { keys: Keys; cells: (ThresholdCell | null)[] }[];
+    notes: string[];
+  };
+
   type Suspect = { keys: Keys; scale: number; spread: number; n: number; sentence: string };
   type Suspects = { items: Suspect[]; notes: string[] };
   type SuspectStretch = {

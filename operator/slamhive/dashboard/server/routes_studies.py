@@ -8,10 +8,13 @@ from fastapi import APIRouter, Query, Request, Response
 
 from slamhive.analysis.boards import Window
 from slamhive.analysis.comparing import MAX_COMPETITORS
+from slamhive.analysis.robustness import RobustnessWish
 from slamhive.dashboard.answers import common_support, studies, truth_suspects
 from slamhive.dashboard.answers import versions as versions_answer
+from slamhive.dashboard.answers.robustness import card_of
 from slamhive.dashboard.server.routes import Filters, FormatName, Names, Where, Which, pairs
 from slamhive.dashboard.server.service import service_of
+from slamhive.tables.queries import split_names
 
 Metric = Annotated[str, Query(max_length=10_000, description="A column of numbers.")]
 ERROR = "ate.rmse"
@@ -72,6 +75,31 @@ async def importance(
 ) -> Response:
     """Share of the variance of the logarithm that each setting explains; runs of searches left out."""
     return await service_of(request).answer(request, lambda data: studies.influences(data, filters, metric))
+
+
+@routes.get("/robustness", summary="Up to where on each axis each system still works")
+async def robustness(
+    request: Request,
+    filters: Filters,
+    *,
+    axes: Names = None,
+    failing: Annotated[
+        str | None, Query(max_length=10_000, description="Condition on runs that failed.")
+    ] = None,
+    quantile: Annotated[
+        float | None, Query(gt=0, le=1, description="Share of runs that must fail for a value to fail.")
+    ] = None,
+) -> Response:
+    """From searches for thresholds and from grids; axes and rule are those that were sought."""
+    service = service_of(request)
+    names = tuple(split_names(axes)) if axes else ()
+    return await service.answer_with(
+        request,
+        service.threshold_searches,
+        lambda data, searches: card_of(
+            data, filters, RobustnessWish(names, failing or None, quantile, searches, "axes")
+        ),
+    )
 
 
 @routes.get("/repeatability", summary="Repetitions of each configuration")

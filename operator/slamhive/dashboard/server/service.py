@@ -19,6 +19,7 @@ from fastapi import Request, Response
 from starlette.responses import StreamingResponse
 
 from slamhive import __version__
+from slamhive.analysis.robustness import searches_of
 from slamhive.dashboard.answering.encoding import (
     TYPES,
     Body,
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 
     from slamhive.dashboard.answers.common_support import Meant, ResultMaterial
     from slamhive.dashboard.sources.archived import Snapshot, Source
+    from slamhive.model.search import Search
 
 _log = logging.getLogger("slamhive.dashboard")
 
@@ -134,6 +136,10 @@ class Service:
         """Return the sweeps that the archive knows, with how many runs each has."""
         records = await self.run(self.source.sweeps)
         return StoredSweeps(records, await self._totals.of(records))
+
+    async def threshold_searches(self, _: Snapshot) -> dict[str, Search]:
+        """Return what the sweeps that sought thresholds sought, by name."""
+        return searches_of({sweep.name: sweep.spec for sweep in await self.run(self.source.sweeps)})
 
     async def run(self, compute: Callable[[], T]) -> T:
         """Look something up in a thread: what asks databases, and costs little."""

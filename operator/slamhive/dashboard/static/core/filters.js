@@ -74,6 +74,13 @@ const GIVEN = ['run', 'parameters', 'input', 'resources', 'dataset', 'labels', '
 export const isMeasure = (column) =>
   isNumeric(column) && column.kind !== 'time' && !GIVEN.includes(column.group);
 
+/**
+ * True for numbers that were chosen for a run, along which it may fail.
+ * @param {{kind?: string, group: string, name?: string}} column
+ */
+export const isSetting = (column) =>
+  isNumeric(column) && ['parameters', 'input', 'resources'].includes(column.group);
+
 /** @param {[string, string|null]} pair */
 const text = (pair) =>
   pair[1] === null ? pair[0] : /[<>!]$/.test(pair[0]) ? `${pair[0]}=${pair[1]}` : `${pair[0]} = ${pair[1]}`;

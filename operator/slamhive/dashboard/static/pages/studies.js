@@ -6,7 +6,7 @@ import { spreadChart } from '../charts/spread.js';
 import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
-import { columnOptions, Filters, isMeasure, shownByFilters, useColumns } from '../core/filters.js';
+import { columnOptions, Filters, isMeasure, isSetting, shownByFilters, useColumns } from '../core/filters.js';
 import { cell, clip, columnTitle, keysText, number, signOf, SUBJECT, tellingKeys } from '../core/format.js';
 import { Choice, Fault, Link, Notes, Outcomes, Places, Table, useTitle, Waiting } from '../core/parts.js';
 import { foremost, useNarrow } from '../core/narrow.js';
@@ -14,6 +14,7 @@ import { html, useMemo } from '../core/ui.js';
 import { Common, EACH_RUN, Narrowing } from './common.js';
 import { failureText } from './groups.js';
 import { COMPETITORS, usualCompetitors } from './leaderboard.js';
+import { Robustness } from './robustness.js';
 import { Suspects } from './suspects.js';
 import { Versions } from './versions.js';
 
@@ -46,6 +47,16 @@ const STUDIES = {
     Shown: Repeatability,
     settings: ['metric'],
     says: 'Runs of the very same configuration. Equal trajectories count once.',
+  },
+  robustness: {
+    text: 'Robustness',
+    path: 'robustness',
+    Shown: Robustness,
+    settings: ['axes'],
+    says:
+      'Up to where on each axis each system still works, from searches for thresholds and from grids. Bars ' +
+      'end at the last value that passes, crosses are the first that fails, lines span where the threshold ' +
+      'lies in 95 of 100 cases.',
   },
   versions: {
     text: 'Before and after',
@@ -86,6 +97,7 @@ const WITHOUT = {
   importance: 'No setting varies over enough runs.',
   repeatability: 'No configuration that fits these filters ran more than once.',
   common: 'No evaluated run fits these filters. Remove one of them.',
+  robustness: 'No number was varied over runs that fit these filters.',
   versions: 'No algorithm or dataset that fits these filters ran in more than one version.',
   suspects:
     'No scale is suspect: of sensors that know the scale, none is off 1 by the same factor in all runs ' +
@@ -106,6 +118,7 @@ export default function Studies() {
     outcomes: query.get('outcomes', EVALUATED[kind] ?? 'tracked'),
     most: query.get('most'),
     first: query.get('first'),
+    axes: query.get('axes'),
   };
   const asked = Object.fromEntries(study.settings.map((name) => [name, set[name] || null]));
   const url = address(`/api/v1/analysis/${study.path}`, query.filters().with(asked));
@@ -145,6 +158,19 @@ export default function Studies() {
                       options=${columnOptions(all, isMeasure)}
                       error=${wrong('metric')}
                       onChange=${(metric) => change({ metric })}
+                    />
+                  `
+                }
+                ${
+                  study.settings.includes('axes') &&
+                  html`
+                    <${Choice}
+                      label="Axis"
+                      value=${set.axes ?? ''}
+                      options=${columnOptions(all, isSetting)}
+                      none="those that were sought"
+                      error=${wrong('axes')}
+                      onChange=${(/** @type {string} */ axes) => change({ axes: axes || null })}
                     />
                   `
                 }

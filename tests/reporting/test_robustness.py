@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robustness card: from searches and grids alike, as figure, table and file, and what it refuses."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from slamhive.archive import Archive, SweepRecord
+from slamhive.model.results import Outcome, Phase, Reason, Result, RunRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    Slamhive = Callable[..., tuple[int, str, str]]
+
+DROP, NOISE = "input.perturb.lidar.dropPoints", "input.perturb.lidar.rangeNoise"
+BREAKS = {("kiss-icp", DROP): 0.8, ("genz-icp", DROP): 0.55, ("mad-icp", DROP): 2.0, ("ct-icp", DROP): -1.0}
+BREAKS |= {("kiss-icp", NOISE): 0.3, ("genz-icp", NOISE): 0.6}
+ISLAND = ("mad-icp", NOISE)
+
+
+def of_run(sweep: str, algorithm: str, axis: str, value: float, repetition: int) -> RunRecord:
+    """Return a run that lost track where its value is too large for it."""
+    lost = value > BREAKS.get((algorithm, axis), 9.0) or ((algorithm, axis) == ISLAND and 0.3 < value < 0.7)
+    lost = lost or (algorithm == "genz-icp" and value > 0.45 and repetition == 0)
+    name = f"{sweep}-{algorithm}-{value:g}-{repetition}"
+    result = Result(
+        evaluation="se3",
+        outcome=Outcome.LOST if lost else Outcome.TRACKED,
+        coverage=0.9,
+        values={"ate": {"rmse": 0.1 + value}},
+    )
+    options = {axis.rpartition(".")[2]: value}
+    return RunRecord.model_validate(
+        {
+            "uid": name,
+            "name": name,
+            "sweep": sweep,
+            "spec": {
+                "algorithmRef": {"name": algorithm},
+                "datasetRef": {"name": "hall"},
+                "sensors": "lidar",
+                "input": {"pace": "Lockstep", "perturb": {"lidar": options}},
+                "repetition": repetition,
+                "seed": repetition + 1,
+            },
+            "phase": Phase.SUCCEEDED,
+            "results": [result],
+        }
+    )
+
+
+def sweep_record(name: str, axis: str) -> SweepRecord:
+    spec = {
+        "matrix": [{"path": "algorithm", "values": ["kiss-icp"]}, {"path": axis, "values": [0, 1]}],
+        "search": {"method": "Threshold", "axis": axis},
+    }
+    return SweepRecord(uid=name, name=name, spec=spec)
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    """Return a home with a search for a threshold, and a grid of another axis."""
+    tenths = [round(0.1 * step, 1) for step in range(10)]
+    runs = [
+        of_run("points", algorithm, DROP, value, repetition)
+        for algorithm in ("kiss-icp", "genz-icp", "mad-icp", "ct-icp")
+        for value in tenths
+        for repetition in range(3)
+    ]
+    runs += [
+        of_run("noise", algorithm, NOISE, value, repetition)
+        for algorithm in ("kiss-icp", "genz-icp", "mad-icp")
+        for value in tenths[::2]
+        for repetition in range(3)
+    ]
+    broken = of_run("points", "ct-icp", DROP, 0.95, 0)
+    runs.append(broken.model_copy(update={"phase": Phase.FAILED, "reason": Reason.NODE_LOST, "results": []}))
+    with Archive.open(f"sqlite:///{tmp_path / 'archive.sqlite'}") as archive:
+        archive.put_sweep(sweep_record("points", DROP))
+        archive.put_runs(runs)
+    return tmp_path
+
+
+def card(slamhive: Slamhive, home: Path, *words: Any) -> dict[tuple[str, str], dict[str, Any]]:
+    code, text, complaint = slamhive(home, "results", "robustness", "--format", "json", *words)
+    assert code == 0, complaint
+    return {(row["algorithm"], row["axis"]): row for row in json.loads(text)}
+
+
+def test_a_card_says_where_each_system_breaks(home: Path, slamhive: Slamhive) -> None:
+    rows = card(slamhive, home, "-x", f"{DROP},{NOISE}")
+    told = {key: (row["status"], row["passes"], row["fails"]) for key, row in rows.items()}
+    assert told == {
+        ("kiss-icp", DROP): ("found", 0.8, 0.9),
+        ("genz-icp", DROP): ("found", 0.5, 0.6),
+        ("mad-icp", DROP): ("never fails", 0.9, None),
+        ("ct-icp", DROP): ("always fails", None, 0),
+        ("kiss-icp", NOISE): ("found", 0.2, 0.4),
+        ("genz-icp", NOISE): ("found", 0.6, 0.8),
+        ("mad-icp", NOISE): ("not monotone", 0.2, 0.4),
+    }
+    assert rows["genz-icp", DROP]["counts"].split(", ")[4:7] == ["0.4: 0/3", "0.5: 1/3", "0.6: 3/3"]
+    assert rows["ct-icp", DROP]["runs"] == 30  # the node was lost: nothing is known of that run
+
+
+def test_the_axis_and_the_rule_are_those_that_were_sought(home: Path, slamhive: Slamhive) -> None:
+    assert {axis for _, axis in card(slamhive, home)} == {DROP}
+    assert {axis for _, axis in card(slamhive, home, "--sweep", "noise")} == {NOISE}
+    rows = card(slamhive, home, "--failing", "ate.rmse > 0.5")
+    assert rows["mad-icp", DROP]["passes"] == 0.4
+    rows = card(slamhive, home, "--quantile", "0.3")
+    assert rows["genz-icp", DROP]["passes"] == 0.4
+
+
+def test_csv_and_figure_hold_the_same_numbers(home: Path, slamhive: Slamhive, tmp_path: Path) -> None:
+    code, text, _ = slamhive(home, "results", "robustness", "--format", "csv")
+    assert code == 0
+    pytest.importorskip("matplotlib")
+    path = tmp_path / "card.svg"
+    assert slamhive(home, "figure", "robustness", "-o", path)[0] == 0
+    assert (tmp_path / "card.data.csv").read_text() == text
+    assert len(list(csv.DictReader(io.StringIO(text)))) == 4
+    again = path.read_bytes()
+    assert slamhive(home, "figure", "robustness", "-o", path)[0] == 0
+    assert path.read_bytes() == again
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["-x", "algorithm"], "--x: algorithm: a column of numbers is needed, this one holds none"),
+        (["-x", "dropPonits"], "dropPonits"),
+        (["--failing", "ate.rsme > 1"], "ate.rsme"),
+        (["--where", f"{NOISE} == 0.2"], "--x: no number was varied in these runs"),
+    ],
+)
+def test_bad_input_is_refused_in_a_sentence(
+    home: Path, slamhive: Slamhive, words: list[str], complaint: str
+) -> None:
+    code, _, errors = slamhive(home, "results", "robustness", *words)
+    assert code == 2
+    assert complaint in " ".join(errors.split())
