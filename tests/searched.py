@@ -42,7 +42,7 @@ def sweep_of(name: str, objectives: int = 1, trials: int = 30, **search: Any) ->
 def run_of(plan: SearchPlan, index: int, *, taken: bool = False) -> RunRecord:
     """Return a run: 0.5 m voxels are best, the smallest run out of memory, the largest lose track."""
     point, chance = plan.point(index), random.Random(index)
-    voxel, far = point.coordinates["parameters.voxelSize"], point.coordinates["parameters.maxRange"]
+    voxel, far = point.coordinates["parameters.voxelSize"], point.coordinates.get("parameters.maxRange", 40)
     error = (1 + abs(math.log(voxel / 0.5))) * (1 if far > 20 else 1.1) * math.exp(chance.gauss(0, 0.02))
     error *= {"hall": 0.1, "yard": 0.5}[point.coordinates["dataset"]]
     cost = 0.1 / voxel * far / 20
