@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from slamhive.analysis.boards import Window
 from slamhive.analysis.columns import Column
 from slamhive.analysis.comparing import BoardComparison, CompetitorPair, compare
-from slamhive.analysis.derived import with_derived
+from slamhive.analysis.derived import SweepVersion, with_derived
 from slamhive.analysis.grouping import aggregate
 from slamhive.analysis.importance import importance
 from slamhive.analysis.leaderboard import leaderboard
@@ -316,13 +316,16 @@ def settings_study() -> list[dict[str, Any]]:
         a, b, c = number % 3, number // 3 % 4, number // 12 % 2
         error = math.exp(1.0 * a + (0.8 if b in (0, 3) and c else 0.0) + chance.gauss(0, 0.1))
         more = {"parameters.a": a, "parameters.b": b, "parameters.c": c, "parameters.text": "xyz"[number % 3]}
-        rows.append(make_row("alg", "x", error, sweep="s" if number < 200 else "tpe", **more))
+        rows.append(make_row("alg", "x", error, **more, **{"sweep.uid": "s" if number < 200 else "t"}))
     return rows
 
 
 def test_the_setting_that_matters_is_found() -> None:
-    (subject,), notes = importance(frame_of(settings_study()), "ate.rmse", {"tpe"})
-    assert notes == ["40 runs of adaptive searches are left out"]
+    rows = frame_of(settings_study())
+    searched = [SweepVersion("s", "s"), SweepVersion("t", "t", search="TPE")]
+    frame = with_derived({name: rows.column(name) for name in rows.stored}, len(rows), searched)
+    (subject,), notes = importance(frame, "ate.rmse")
+    assert notes == ["40 runs that a search chose by results (TPE) are left out"]
     strongest = subject.influences[0]
     assert strongest.name in {"parameters.a", "parameters.text"}
     assert strongest.variance == pytest.approx(0.8, abs=0.1)

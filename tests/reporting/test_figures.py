@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     Fill = Callable[..., Path]
 
 ROOT = Path(__file__).parents[2]
-KINDS = [kind.value for kind in FigureKind]
+KINDS = [kind.value for kind in FigureKind if kind is not FigureKind.SEARCH]
 
 
 def made(home: Path, kind: FigureKind, where: str | None = None, **wish: Any) -> Picture:

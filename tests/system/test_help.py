@@ -48,6 +48,7 @@ def test_the_commands_are_those_promised() -> None:
         *(f"results {name}" for name in ("list", "show", "table", "export")),
         *(f"dataset {name}" for name in ("list", "show", "add", "make", "prepare", "export", "check")),
         *("results prune", "gc", "home", "dataset remove", "dataset rename", "algorithm remove"),
+        *(f"search {name}" for name in ("show", "best")),
         *(f"sweep {name}" for name in ("list", "rename", "remove")),
         *(f"algorithm {name}" for name in ("list", "show", "check")),
     }

@@ -28,6 +28,7 @@ from slamhive.analysis.grouping import (
     unranked_notes,
     varies,
     varying,
+    without_chosen,
     worst,
 )
 from slamhive.analysis.measures import follows_trajectory, measure_of
@@ -197,8 +198,8 @@ def prepare(
         outcomes: which runs have a figure that counts.
         by_dataset: whether each dataset is a grid of its own.
     """
+    frame, notes = without_chosen(frame)
     frame, facets = apart(frame, (*by, "dataset"), metrics)
-    notes: list[str] = []
     if "algorithm" in by and VERSION in facets:
         # Versions of an algorithm compete with each other, and with all others.
         facets.remove(VERSION)

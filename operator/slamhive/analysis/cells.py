@@ -74,6 +74,7 @@ class Cell:
         findings: codes of what was known to be wrong with the recordings of its runs, sorted.
         reader: whether its figures of CPU hold the reading of the recording, or may, and others' don't.
         late: whether poses of some of its runs came late, so that its memory holds frames that waited.
+        chosen: whether a search chose some of its runs by its results.
     """
 
     keys: dict[str, Any]
@@ -87,6 +88,7 @@ class Cell:
     findings: tuple[str, ...] = ()
     reader: bool = False
     late: bool = False
+    chosen: bool = False
 
     @property
     def deterministic(self) -> bool:

@@ -5,6 +5,7 @@
 ``disturbed``          other work on a run's cores, or throttling, falsified its load and wall time
 ``algorithm.version``  8 digits of what the algorithm was: its Algorithm's spec, its environment or image
 ``dataset.version``    8 digits of what the dataset was: its files, and how they were prepared
+``search``             method of the search whose results chose a run, or how often its setting was run
 ``superseded``         why a run is no current one: algorithm changed, dataset changed, sweep edited
 ``ate.extended``       the original system's error that grows as coverage falls
 ``lateSeconds``        how late a node's poses came in real time, where that is more than a few frames
@@ -77,6 +78,7 @@ class SweepVersion(NamedTuple):
         name: its name.
         cluster, namespace: where it is; None on a workstation.
         created: when it was last asked for, s since 1970; None when that isn't known.
+        search: method by which results choose its runs; None where they don't.
     """
 
     uid: str
@@ -84,6 +86,7 @@ class SweepVersion(NamedTuple):
     cluster: str | None = None
     namespace: str | None = None
     created: float | None = None
+    search: str | None = None
 
 
 def with_derived(columns: Mapping[str, Column], length: int, sweeps: Sequence[SweepVersion] = ()) -> Frame:
@@ -103,6 +106,7 @@ def with_derived(columns: Mapping[str, Column], length: int, sweeps: Sequence[Sw
         "disturbed": _disturbed(frame),
         "algorithm.version": _version(frame, _ALGORITHM),
         "dataset.version": _version(frame, _DATASET),
+        "search": _search(frame, sweeps),
         "superseded": _superseded(frame, sweeps),
         "ate.extended": _extended(frame),
         LATE_SECONDS: _lateness(frame),
@@ -275,6 +279,17 @@ def _superseded(frame: Frame, sweeps: Sequence[SweepVersion]) -> Column:
                 words[(words < 0) & _differs_from_latest(known, group, order)] = reason
     words[(words < 0) & _of_earlier_sweep(frame, sweeps)] = 2
     return Column.of_codes(words, reasons)
+
+
+def _search(frame: Frame, sweeps: Sequence[SweepVersion]) -> Column:
+    """Return by which method the results of a search chose each run."""
+    methods = {one.uid: one.search for one in sweeps if one.search is not None}
+    if not methods:
+        return Column.missing(len(frame))
+    words = sorted(set(methods.values()))
+    codes, values = _codes(frame, "sweep.uid")
+    places = [words.index(methods[value]) if value in methods else -1 for value in values]
+    return Column.of_codes(np.array([*places, -1], dtype=np.int32)[codes], words)
 
 
 def _latest_last(frame: Frame) -> Indices:

@@ -24,6 +24,7 @@ DERIVED = frozenset(
     {
         *("status", "disturbed", "superseded", "algorithm.version", "dataset.version", "ate.extended"),
         "lateSeconds",
+        "search",
     }
 )
 """Columns that follow from others."""

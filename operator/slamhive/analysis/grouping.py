@@ -80,6 +80,11 @@ COPIED = "(=)"
 LATE = "§"
 """Sign of figures of memory of runs whose poses came late, so that frames waited in it."""
 
+SEARCHED = "search"
+"""Column of the method by whose results a run was chosen."""
+CHOSEN = "¶"
+"""Sign of figures of such runs."""
+
 DISTURBED = ("usage.cpu.meanCores", "usage.cpu.maxCores", "usage.wallSeconds")
 """Columns that say nothing where a run shared its cores with other work or was throttled."""
 
@@ -192,6 +197,7 @@ def aggregate(
     notes = [*pooling_notes(pooled), *idle_notes(frame, pooled)]
     notes += [*disturbance_notes(frame, metrics), *finding_notes(frame)]
     notes += copy_notes(sum(cell.copies for cell in cells), metrics) + reader_notes(frame, metrics)
+    notes += chosen_notes(frame)
     return Aggregate(groups.names, tuple(facets), tuple(metrics), cells, members, tuple(notes))
 
 
@@ -307,6 +313,45 @@ def finding_notes(frame: Frame) -> list[str]:
         return []
     told = [f"{name}: {', '.join(sorted(found[name]))}" for name in sorted(found)]
     return [f"{MARK} the recording has open findings ({'; '.join(_first(told))})"]
+
+
+def chosen_notes(frame: Frame) -> list[str]:
+    """Say how many runs a search chose by its results, where they are marked."""
+    column = frame.column(SEARCHED)
+    if column.is_empty:
+        return []
+    count, rest = frame.count_runs(column.present), frame.count_runs()
+    share = "all runs were" if count == rest else f"{_runs_text(count)} of {rest:,} were"
+    return [f"{CHOSEN} {share} chosen by a search for its results ({_methods(frame)}): no fair sample"]
+
+
+def without_chosen(frame: Frame) -> tuple[Frame, list[str]]:
+    """Return the runs without those that a search chose by its results, and say how many these are.
+
+    They say how well a setting can do, not how a system does: who was searched longest would win. Where all
+    runs are such, they stay, and that is said.
+    """
+    column = frame.column(SEARCHED)
+    if column.is_empty:
+        return frame, []
+    chosen = column.present
+    if chosen.all():
+        return frame, chosen_notes(frame)
+    count = frame.count_runs(chosen)
+    verb = "is" if count == 1 else "are"
+    told = f"{_runs_text(count)} that a search chose by results ({_methods(frame)}) {verb} left out"
+    return frame.select(~chosen), [told]
+
+
+def _runs_text(count: int) -> str:
+    return "1 run" if count == 1 else f"{count:,} runs"
+
+
+def _methods(frame: Frame) -> str:
+    column = frame.column(SEARCHED)
+    return ", ".join(
+        sorted({str(column.values[code]) for code in set(column.codes[column.present].tolist())})
+    )
 
 
 def _first(told: Sequence[str]) -> list[str]:
@@ -592,6 +637,7 @@ def _cells(groups: Groups, metrics: Sequence[str], outcomes: Outcomes) -> list[C
     faulty = places.tallies([" ".join(one) for one in words], faults, faults >= 0)
     reading = places.counts(holds_reader(frame, metrics)) > 0
     late = places.counts(falls_behind(frame, metrics)) > 0
+    chosen = places.counts(frame.column(SEARCHED).present) > 0
     shown = [_figures(frame, places, name, counted=counted, once=once, outcomes=outcomes) for name in metrics]
     lists = zip(
         groups.keys,
@@ -605,15 +651,16 @@ def _cells(groups: Groups, metrics: Sequence[str], outcomes: Outcomes) -> list[C
         faulty,
         reading.tolist(),
         late.tolist(),
+        chosen.tolist(),
         strict=True,
     )
     found = []
-    for keys, runs, n, copies, failures, untracked, covering, row, wrong, reader, behind in lists:
+    for keys, runs, n, copies, failures, untracked, covering, row, wrong, reader, behind, picked in lists:
         untracked.pop(Outcome.TRACKED.value, None)
         by_name = dict(zip(metrics, row, strict=True))
         known = tuple(sorted({code for codes_ in wrong for code in codes_.split()}))
         counts = (runs, n, copies, failures, untracked, covering)
-        found.append(Cell(keys, *counts, by_name, known, reader, behind))
+        found.append(Cell(keys, *counts, by_name, known, reader, behind, picked))
     return found
 
 

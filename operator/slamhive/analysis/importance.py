@@ -30,14 +30,13 @@ from slamhive.analysis.grouping import (
     disturbance_notes,
     sound,
     varying,
+    without_chosen,
     worst,
 )
 from slamhive.analysis.measures import follows_trajectory
 from slamhive.analysis.statistics import rank_correlation
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
-
     import numpy.typing as npt
 
     from slamhive.analysis.columns import Floats, Mask
@@ -99,17 +98,14 @@ class Influences:
     unexplained: float
 
 
-def importance(
-    frame: Frame, metric: str = "ate.rmse", adaptive: Collection[str] = ()
-) -> tuple[list[Influences], list[str]]:
+def importance(frame: Frame, metric: str = "ate.rmse") -> tuple[list[Influences], list[str]]:
     """Return the influences of settings on a metric for each subject, and notes.
 
     Args:
         frame: one row a run and evaluation.
         metric: a column of numbers.
-        adaptive: names of sweeps whose points were chosen by earlier results.
     """
-    frame, notes = _without(frame, adaptive)
+    frame, notes = without_chosen(frame)
     frame, facets = apart(frame, SUBJECT, [metric])
     names = [name for name in varying(frame) if not name.startswith("dataset.")][:MAX_PARAMETERS]
     groups = Groups(frame, [*facets, *SUBJECT])
@@ -137,16 +133,6 @@ def importance(
         notes.append(f"{small} subjects with fewer than {LEAST_RUNS} results of tracked runs are left out")
     notes += copy_notes(int(np.count_nonzero(repeating)), [metric])
     return subjects, [*notes, *disturbance_notes(frame, [metric])]
-
-
-def _without(frame: Frame, sweeps: Collection[str]) -> tuple[Frame, list[str]]:
-    column = frame.column("sweep")
-    chosen = [code for code, name in enumerate(column.values) if name in set(sweeps)]
-    left_out = np.isin(column.codes, chosen) if chosen else np.zeros(len(frame), dtype=bool)
-    count = frame.count_runs(left_out)
-    if not count:
-        return frame, []
-    return frame.select(~left_out), [f"{count} runs of adaptive searches are left out"]
 
 
 def _subject(

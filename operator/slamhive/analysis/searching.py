@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 from slamhive.analysis.flattening import DOCUMENTS, OF_RUN, TIMES, Results, columns_of_runs
 from slamhive.analysis.frame import Frame
 from slamhive.analysis.measures import BESIDE, CAUSAL, CONFIGURATION, figures
+from slamhive.analysis.selection import first_rows
 from slamhive.engine import RunSeen
 from slamhive.model.errors import InputError, suggestion
-from slamhive.model.results import Outcome, Phase
+from slamhive.model.results import Outcome, Phase, Reason
 from slamhive.model.search import SearchMethod
 
 if TYPE_CHECKING:
@@ -62,15 +63,37 @@ def runs_seen(records: Mapping[int, RunRecord], search: Search) -> dict[int, Run
     Raises:
         InputError: an objective has a value that is no number.
     """
+    if not records:
+        return {}
     indices = list(records)
     frame = records_frame([records[index] for index in indices])
+    return dict(zip(indices, rows_seen(frame, search), strict=True))
+
+
+def rows_seen(frame: Frame, search: Search) -> list[RunSeen]:
+    """Return finished runs of a table as the decisions of a search see them, in the order of their ids.
+
+    Args:
+        frame: a row a run and evaluation; of several evaluations of a run the first one counts.
+        search: what is asked.
+
+    Raises:
+        InputError: an objective has a value that is no number.
+    """
+    runs = frame.select(first_rows(frame))
     metrics = metrics_of(search)
-    columns = {name: frame.column(name).tolist() if frame.has(name) else [] for name in metrics}
-    places = {int(row): place for place, row in reversed(list(enumerate(frame.column("id").tolist())))}
-    return {
-        index: _seen(records[index], search, [_number(columns[name], places[row], name) for name in metrics])
-        for row, index in enumerate(indices)
-    }
+    values = [runs.column(name).tolist() for name in metrics]
+    words = [runs.column(name).tolist() for name in ("phase", "reason", "outcome")]
+    return [
+        _seen(
+            phase,
+            reason,
+            outcome,
+            search,
+            [_number(one[row], name) for one, name in zip(values, metrics, strict=True)],
+        )
+        for row, (phase, reason, outcome) in enumerate(zip(*words, strict=True))
+    ]
 
 
 def records_frame(records: Sequence[RunRecord]) -> Frame:
@@ -83,6 +106,7 @@ def records_frame(records: Sequence[RunRecord]) -> Frame:
         "algorithm": [record.spec["algorithmRef"]["name"] for record in records],
         "dataset": [record.spec["datasetRef"]["name"] for record in records],
         "evaluations": [() for _ in records],
+        **{name: [getattr(record, name) for record in records] for name in TIMES},
     }
     for name in sorted(fields - {"id", "labels"}):
         if name in special:
@@ -97,8 +121,7 @@ def records_frame(records: Sequence[RunRecord]) -> Frame:
     return Frame(*columns_of_runs(runs, Results.of(results)))
 
 
-def _number(values: Sequence[Any], place: int, name: str) -> float | None:
-    value = values[place] if values else None
+def _number(value: Any, name: str) -> float | None:
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return None
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -106,11 +129,13 @@ def _number(values: Sequence[Any], place: int, name: str) -> float | None:
     return float(value)
 
 
-def _seen(record: RunRecord, search: Search, values: Sequence[float | None]) -> RunSeen:
-    if record.phase is not Phase.SUCCEEDED:
-        blameless = record.reason is not None and record.reason.is_infrastructure
-        return RunSeen(has_failed=not blameless and record.phase is Phase.FAILED)
-    outcome = record.results[0].outcome if record.results else None
+def _seen(
+    phase: str, reason: str | None, word: str | None, search: Search, values: Sequence[float | None]
+) -> RunSeen:
+    if phase != Phase.SUCCEEDED:
+        blameless = reason is not None and Reason(reason).is_infrastructure
+        return RunSeen(has_failed=not blameless and phase == Phase.FAILED)
+    outcome = Outcome(word) if word is not None else None
     if search.method is SearchMethod.THRESHOLD:
         return _seen_for_threshold(search, outcome, values)
     if outcome is not None and outcome is not Outcome.TRACKED:

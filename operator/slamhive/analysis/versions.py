@@ -37,6 +37,7 @@ from slamhive.analysis.grouping import (
     unranked_notes,
     varies,
     varying,
+    without_chosen,
 )
 from slamhive.analysis.measures import CONFIGURATION, Better, follows_trajectory, is_error, measure_of
 from slamhive.analysis.statistics import (
@@ -284,8 +285,9 @@ def before_and_after(
         What changed: for each algorithm with sensors (and each dataset that was edited) the latest earlier
         version first; and notes.
     """
+    frame, left_out = without_chosen(frame)
     changes = []
-    notes = [*direction_notes([metric]), *disturbance_notes(frame, [metric])]
+    notes = [*left_out, *direction_notes([metric]), *disturbance_notes(frame, [metric])]
     notes += unranked_notes(frame, outcomes)
     for changed in _VERSIONS:
         material = _Material(frame, metric, outcomes, changed)

@@ -7,17 +7,21 @@ import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from slamhive.analysis import Outcomes
+from slamhive.analysis.grouping import where_equal
+from slamhive.analysis.metrics import declared_units
 from slamhive.cli.parts.choosing import Also, EvaluationName, Superseded, Sweeps, Where, choose_runs, select
 from slamhive.cli.parts.console import remark
 from slamhive.cli.parts.robustness import FailingRule, Quantile, card_wish
+from slamhive.cli.searches import told
 from slamhive.figures.asking import FigureKind, Log, Wish
 from slamhive.figures.making import form_of, numbers_file, picture, save
 from slamhive.figures.paper import Paper
+from slamhive.figures.searches import search
 from slamhive.figures.styles import Face
 from slamhive.figures.widths import WIDTHS, parse_height, parse_width
 from slamhive.local.home.folder import Home
@@ -27,6 +31,11 @@ from slamhive.reporting.papertables import Statistic
 from slamhive.tables.homes import homes_beside
 from slamhive.tables.reading import revision
 from slamhive.tables.uncollected import uncollected
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamhive.figures.pictures import Picture
 
 
 class Hold(Choice):
@@ -39,6 +48,9 @@ class Hold(Choice):
 @uncollected()
 def figure(
     kind: Annotated[FigureKind, typer.Argument(help="What it shows.", show_default=False)],
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="Of search: the sweep.", show_default=False)
+    ] = None,
     *,
     output: Annotated[
         Path | None,
@@ -108,6 +120,21 @@ def figure(
     wish = Wish(kind, x, y, by, facet, outcomes, statistic, log, limits is Hold.ROBUST, each)
     if each and not kind.is_of_files:
         raise InputError("--each: every run is drawn by trajectories, error-over-time and usage")
+    if kind is FigureKind.SEARCH:
+        if name is None:
+            raise InputError("NAME: figure search needs the name of the sweep")
+        if where or sweep or evaluation or superseded or also or published:
+            raise InputError("figure search: NAME says which runs; other choices of runs mean nothing here")
+        with told(name) as (record, story, _, whole):
+            own = whole.select(where_equal(whole, "sweep.uid", record.uid))
+            with declared_units(whole.units):
+                made = search(story, wish).settled()
+        _write(made, path, paper, revision(own), made.notes)
+        return
+    if name is not None:
+        raise InputError(
+            f"NAME: {name!r} means nothing to figure {kind.value}; --sweep chooses runs of a sweep"
+        )
     if kind is FigureKind.ROBUSTNESS:
         wish.refuse(y="--y: a robustness card shows axes alone, --x", by="--by: a row is a system already")
         wish = replace(wish, robustness=card_wish(x, failing, quantile))
@@ -118,7 +145,19 @@ def figure(
     others = homes_beside(home, also)
     frame, left_out = choose_runs(selection, "there is nothing to draw", others)
     made = picture(frame, wish, home, others, published=published)
-    notes = (*made.notes, *left_out)
+    _write(made, path, paper, revision(frame), (*made.notes, *left_out))
+
+
+def _write(made: Picture, path: Path, paper: Paper, data: str, notes: Sequence[str]) -> None:
+    """Write a figure and say what it shows.
+
+    Args:
+        made: what it shows.
+        path: where.
+        paper: how large.
+        data: revision of the data.
+        notes: sentences of the caption.
+    """
     caption = " ".join(
         f"{note if note.startswith('n = ') else note[:1].upper() + note[1:]}." for note in notes
     )
@@ -126,7 +165,7 @@ def figure(
 
     leave_out_documents()
     command = shlex.join(["slamhive", *sys.argv[1:]])
-    save(made, path, paper, command=command, revision=revision(frame), caption=caption)
+    save(made, path, paper, command=command, revision=data, caption=caption)
     runs = "1 run" if made.runs == 1 else f"{made.runs:,} runs"
     remark(f"{path}: {paper.width.millimetres:g} mm wide, of {runs}; numbers in {numbers_file(path)}")
     remark(caption)

@@ -114,6 +114,7 @@ COMMANDS = {
     ),
     "results": _Command("results", "app", "Finished runs: lists, tables, files."),
     "sweep": _Command("sweeps", "app", "Sweeps in the archive: list, rename and remove them."),
+    "search": _Command("searches", "app", "Searches in the archive: what they tried, and the best setting."),
     "dataset": _Command("datasets", "app", "Datasets: list, add, check, prepare and export them."),
     "algorithm": _Command("algorithms", "app", "Algorithms: list, add and check them."),
     "home": _Command(

@@ -45,6 +45,7 @@ class FigureKind(Choice):
     USAGE = "usage"
     ECDF = "ecdf"
     REPETITIONS = "repetitions"
+    SEARCH = "search"
     ROBUSTNESS = "robustness"
 
     @property

@@ -65,6 +65,10 @@ def _picture(frame: Frame, wish: Wish, home: Home, also: Sequence[Beside], *, pu
 
     if wish.kind is FigureKind.SCATTER:
         return singles.scatter(frame, wish, _published(frame, home) if published else ()).settled()
+    if wish.kind is FigureKind.SEARCH:
+        raise InputError(
+            "the figure of a search is made of its sweep by `slamhive figure search NAME`", "kind"
+        )
     makers = {
         FigureKind.LINES: groups.lines,
         FigureKind.BOX: groups.box,

@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Self
 
 from pydantic import Field, model_validator
 
 from slamhive.model.base import Choice, Model, optional
 from slamhive.model.results import Outcome
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 MAX_TRIALS = 5_000
 """The most settings that a search may try: its trials are kept in the Sweep's status."""
@@ -158,9 +162,33 @@ class Search(Model):
         return self
 
     @property
+    def chooses(self) -> bool:
+        """Tell whether results decide what is run, or how often: then its runs are no fair sample."""
+        return self.is_search and not (self.method in _BLIND and self.keep == 1)
+
+    @property
     def is_search(self) -> bool:
         """Tell whether not every point of the matrix is run."""
         return self.method is not SearchMethod.GRID
+
+
+_BLIND = frozenset({SearchMethod.RANDOM, SearchMethod.SOBOL})
+"""Methods that look at no results, where they drop nothing."""
+
+
+def choosing_method(spec: Mapping[str, Any]) -> str | None:
+    """Return the method of a stored Sweep whose results decide what is run; None where they don't.
+
+    Args:
+        spec: of the Sweep, of any version of slamhive.
+    """
+    given = spec.get("search")
+    if not isinstance(given, dict):
+        return None
+    with suppress(ValueError):
+        search = Search.model_validate(given)
+        return search.method.value if search.chooses else None
+    return str(given.get("method"))
 
 
 class TrialOrigin(Choice):

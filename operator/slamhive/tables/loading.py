@@ -41,6 +41,7 @@ from slamhive.archive.documents import UNREADABLE, raw
 from slamhive.archive.rows import read_rows, read_runs, why
 from slamhive.model.errors import InputError
 from slamhive.model.results import Outcome, Phase
+from slamhive.model.search import choosing_method
 from slamhive.tables.snapshots import Loaded, derived
 from slamhive.tables.uncollected import uncollected
 
@@ -148,14 +149,21 @@ def load(engine: Engine, before: Loaded | None = None, stamp: tuple[int, ...] | 
 
 def _sweeps(connection: Connection) -> tuple[tuple[SweepVersion, ...], list[LeftOut]]:
     columns = schema.sweeps.c
-    query = select(columns.uid, columns.name, columns.cluster, columns.namespace, columns.created)
+    query = select(
+        columns.uid, columns.name, columns.cluster, columns.namespace, columns.created, columns.spec
+    )
     found, left_out = read_rows(
         connection,
         query.order_by(columns.uid),
         schema.sweeps,
-        lambda row: SweepVersion(**{**row, "created": row["created"] and row["created"].timestamp()}),
+        _version,
     )
     return tuple(found), left_out
+
+
+def _version(row: dict[str, Any]) -> SweepVersion:
+    created, search = row["created"], choosing_method(row.pop("spec"))
+    return SweepVersion(**{**row, "created": created and created.timestamp(), "search": search})
 
 
 def _declared(connection: Connection) -> tuple[dict[str, dict[str, str]], list[LeftOut]]:

@@ -27,7 +27,7 @@ from slamhive.analysis.frame import DERIVED, Frame
 from slamhive.analysis.shapes import loads
 from slamhive.model.leftout import LeftOut
 
-VERSION = 9
+VERSION = 10
 _SETTLED_NANOSECONDS = 2 * 10**9
 LEAST_ROWS = 5000
 """Rows from which on a cache is worth its place where it can't spare the database itself."""

@@ -11,7 +11,7 @@ import math
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
-from slamhive.analysis.grouping import CPU, LATE, MARK, MEMORY, READER
+from slamhive.analysis.grouping import CHOSEN, CPU, LATE, MARK, MEMORY, READER
 from slamhive.analysis.metrics import Metric, name_of, with_unit
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def counts_text(counts: Mapping[str, int]) -> str:
 def n_text(cell: Cell) -> str:
     """Return the number of results that count, with = where further runs repeat one of them.
 
-    † marks runs on recordings with open findings.
+    † marks runs on recordings with open findings, ¶ runs that a search chose by its results.
     """
     return f"{cell.n}{' =' if cell.copies else ''}{marked(cell)}"
 
@@ -124,8 +124,8 @@ def n_of_runs(one: Cell | Entry | Standing | Spot) -> str:
 
 
 def marked(cell: Cell) -> str:
-    """Return the sign of runs on recordings with open findings, where a cell has such."""
-    return f" {MARK}" if cell.findings else ""
+    """Return the signs of runs on recordings with open findings, and of runs that a search chose."""
+    return (f" {MARK}" if cell.findings else "") + (f" {CHOSEN}" if cell.chosen else "")
 
 
 def cost_mark(column: str, *, reader: bool, late: bool) -> str:
@@ -197,6 +197,7 @@ def flat_cells(found: Aggregate) -> list[dict[str, Any]]:
         row |= {"findings": ", ".join(cell.findings)} if has_findings else {}
         row |= {"reader": cell.reader} if any(one.reader for one in found.cells) else {}
         row |= {"late": cell.late} if any(one.late for one in found.cells) else {}
+        row |= {"chosen": cell.chosen} if any(one.chosen for one in found.cells) else {}
         row |= {"untracked.by": cell.untracked, "deterministic": cell.deterministic}
         for name, figure in cell.figures.items():
             row |= flat_summary(name, figure.summary)

@@ -94,6 +94,7 @@ declare namespace Api {
   type Sweep = {
     uid: string | null;
     name: string;
+    search: string | null;
     namespace: string | null;
     live: boolean;
     total: number | null;
@@ -285,6 +286,8 @@ declare namespace Api {
     reader: boolean;
     /** Whether memory holds frames that waited. */
     late: boolean;
+    /** Whether a search chose some of its runs by its results. */
+    chosen: boolean;
     coverage: Figure | null;
     figures: Record<string, Figure>;
   };
@@ -402,6 +405,47 @@ declare namespace Api {
     interactions: Array<{ a: string; b: string; variance: number | null }>;
     unexplained: number | null;
   };
+  type Trial = {
+    number: number;
+    values: Record<string, any>;
+    state: string;
+    origin: string;
+    told: number;
+    runs: number;
+    spared: number;
+    judged: number;
+    figures: Array<number | null>;
+    failed: number | null;
+    dropped: string | null;
+    at: number;
+  };
+  type SweepSearch = {
+    method: string;
+    objectives: Array<{ metric: string; goal: string }>;
+    metrics: Heading[];
+    axes: Array<{ label: string; log: boolean }>;
+    titles: string[];
+    contexts: Array<Record<string, any>>;
+    block: number;
+    averaged: string;
+    trials: Trial[];
+    history: Array<{ runs: number; best: number[] }>;
+    best: number[];
+    influences: Array<{ axis: string; shares: number[]; groups: number }>;
+    compared: number;
+    leastCompared: number;
+    most: number;
+    ended: number;
+    computed: number;
+    spared: number;
+    wanted: number;
+    toCome: number;
+    expected: number;
+    secondsLeft: number | null;
+    over: boolean;
+    message: string;
+  };
+
   type Importance = { metric: Heading; subjects: Subject[]; notes: string[] };
 
   type Score = {

@@ -73,7 +73,7 @@ class SweepTotals:
 
 
 def total(record: SweepRecord) -> int | None:
-    """Return the number of runs that a sweep was asked for, of a search at most; None where none is said."""
+    """Return the number of runs that a sweep asks for, a search at most; None where its spec doesn't say."""
     if not record.spec:
         return None
     try:

@@ -197,6 +197,7 @@ def _aggregate_json(snapshot: Snapshot, chosen: Chosen, found: Aggregate) -> dic
                 "findings": cell.findings,
                 "reader": cell.reader,
                 "late": cell.late,
+                "chosen": cell.chosen,
                 "coverage": summary_json(cell.coverage),
                 "figures": {name: figure_json(figure) for name, figure in cell.figures.items()},
             }

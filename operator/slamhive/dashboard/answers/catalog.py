@@ -6,19 +6,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import yaml
 
 from slamhive import __version__
 from slamhive.analysis.grouping import where_equal
 from slamhive.analysis.selection import first_rows
 from slamhive.dashboard.answering.encoding import Body
 from slamhive.dashboard.problems import Missing
-from slamhive.model.base import API_VERSION
 from slamhive.model.errors import suggestion
+from slamhive.tables.manifests import manifest
 from slamhive.tables.text import as_columns
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from slamhive.analysis.columns import Column, Mask
     from slamhive.analysis.frame import Frame
@@ -89,13 +88,6 @@ def sweep_names(runs: Frame) -> list[tuple[str, str]]:
     codes, firsts = np.unique(np.int64(spaces) * len(titles) + sweeps, return_index=True)
     pairs = [divmod(code, len(titles)) for code in codes[np.argsort(firsts)].tolist()]
     return [(places[space] or "", titles[name]) for space, name in pairs if titles[name] is not None]
-
-
-def manifest(kind: str, name: str, labels: Mapping[str, str], spec: Mapping[str, Any]) -> str:
-    """Return the YAML of an object."""
-    metadata: dict[str, Any] = {"name": name} | ({"labels": dict(labels)} if labels else {})
-    body = {"apiVersion": API_VERSION, "kind": kind, "metadata": metadata, "spec": dict(spec)}
-    return str(yaml.safe_dump(body, sort_keys=False, allow_unicode=True, width=100))
 
 
 def evaluations(snapshot: Snapshot) -> Body:

@@ -6,8 +6,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
 from slamhive.analysis.grouping import SUBJECT, varying, where_equal
 from slamhive.analysis.measuring import outdated_note
 from slamhive.analysis.metrics import declared_units, label_of
@@ -15,7 +13,6 @@ from slamhive.contract.environment import SETTINGS_FOLDER
 from slamhive.dashboard.answering.encoding import Body
 from slamhive.dashboard.answers.columns import group_of, heading
 from slamhive.dashboard.problems import BadRequest, Missing
-from slamhive.model.base import API_VERSION
 from slamhive.model.errors import suggestion
 from slamhive.model.sensors import SensorMode
 from slamhive.model.templates import FILES_LIMIT
@@ -29,6 +26,7 @@ from slamhive.runfiles.trajectories import (
     read_poses,
     usage_columns,
 )
+from slamhive.tables.manifests import run_manifest
 from slamhive.tables.timeliness import causal_result, late_note
 from slamhive.tables.words import disproportion
 
@@ -158,7 +156,7 @@ def detail(snapshot: Snapshot, found: FoundRun) -> Body:
             *(note for result in record.results for note in _notes(result)),
         ],
         "logTail": record.log_tail,
-        "manifest": manifest(record),
+        "manifest": run_manifest(record),
         # Where object storage does not answer, each of them says so.
         "files": found.place is not None or found.trouble is not None,
         "absence": found.absence,
@@ -204,18 +202,6 @@ def _notes(result: Result) -> list[str]:
     said = result.values.get("notes")
     notes = [outdated_note(result.values), disproportion(result), *(said if isinstance(said, list) else ())]
     return [f"{result.evaluation}: {note}" for note in notes if note]
-
-
-def manifest(record: RunRecord) -> str:
-    """Return the YAML that runs it again."""
-    spec = {name: value for name, value in record.spec.items() if value not in (None, {}, [])}
-    body = {
-        "apiVersion": API_VERSION,
-        "kind": "MappingRun",
-        "metadata": {"name": record.name},
-        "spec": spec,
-    }
-    return str(yaml.safe_dump(body, sort_keys=False, allow_unicode=True, width=100))
 
 
 def files(snapshot: Snapshot, found: FoundRun) -> Body:

@@ -25,7 +25,6 @@ from slamhive.tables.text import as_columns, flat_summary
 from slamhive.tables.verdicts import RULE
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
     from pathlib import Path
 
     from slamhive.analysis.comparing import CompetitorPair
@@ -140,12 +139,12 @@ def _flat(item: dict[str, Any]) -> dict[str, Any]:
     return keys | item
 
 
-def influences(snapshot: Snapshot, pairs: Pairs, metric: str, adaptive: Collection[str]) -> Body:
+def influences(snapshot: Snapshot, pairs: Pairs, metric: str) -> Body:
     """Return the influence of each setting."""
     number_column(snapshot.frame, metric, "metric")
     chosen = select(snapshot.frame, pairs, RESERVED)
     frame = chosen.frame
-    found, notes = importance(frame, metric, adaptive)
+    found, notes = importance(frame, metric)
     content = {
         "revision": snapshot.revision,
         "rows": len(frame),

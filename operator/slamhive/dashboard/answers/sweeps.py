@@ -15,7 +15,6 @@ from slamhive.dashboard.answers.catalog import (
     MAX_NAMES,
     chosen,
     current,
-    manifest,
     names,
     single,
     sweep_names,
@@ -24,6 +23,8 @@ from slamhive.dashboard.answers.catalog import (
 from slamhive.dashboard.problems import BadRequest, Missing
 from slamhive.model.errors import suggestion
 from slamhive.model.results import Outcome
+from slamhive.model.search import SearchMethod
+from slamhive.tables.manifests import manifest
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -111,6 +112,7 @@ def _sweep(
         "live": bool(live.get("live")) or bool(_LIVE & phases.keys()),
         "total": asked,
         "single": asked == 1 and not spec.get("matrix"),
+        "search": method_of(spec),
         "runs": len(inside),
         "phases": phases | dict(live.get("phases") or {}),
         "statuses": tally(rows.column("status")),
@@ -122,6 +124,13 @@ def _sweep(
         "best": list(live.get("best") or ()) or best,
         "spread": spread,
     }
+
+
+def method_of(spec: Mapping[str, Any]) -> str | None:
+    """Return the method of a sweep that is a search; None of one that runs every point."""
+    search = spec.get("search")
+    method = search.get("method") if isinstance(search, dict) else None
+    return str(method) if method not in {None, SearchMethod.GRID.value} else None
 
 
 def _errors(rows: Frame) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
@@ -185,22 +194,7 @@ def sweep(snapshot: Snapshot, stored: StoredSweeps, name: str, namespace: str | 
         BadRequest: several are.
     """
     runs = single(snapshot.frame)
-    known = {
-        *sweep_names(runs),
-        *snapshot.sweeps,
-        *((one.namespace or "", one.name) for one in stored.records),
-    }
-    found = [(space, title) for space, title in known if title == name and namespace in {None, space}]
-    if not found:
-        titles = [title for _, title in known]
-        raise Missing(f"unknown sweep {name[:100]!r}{suggestion(name[:100], titles)}", "name")
-    if len(found) > 1:
-        places = ", ".join(sorted(space or "this workstation" for space, _ in found))
-        raise BadRequest(
-            f"several sweeps are called {name!r}: say in which namespace ({places})", "namespace"
-        )
-    address = found[0]
-    records = [one for one in stored.records if (one.namespace or "", one.name) == address]
+    address, records = find_sweep(snapshot, runs, stored.records, name, namespace)
     record = records[-1] if records else None
     live = snapshot.sweeps.get(address)
     spec = (live or {}).get("spec") or (record.spec if record else {})
@@ -214,3 +208,36 @@ def sweep(snapshot: Snapshot, stored: StoredSweeps, name: str, namespace: str | 
             "conditions": list((live or {}).get("conditions") or ()),
         }
     )
+
+
+def find_sweep(
+    snapshot: Snapshot, runs: Frame, known: Sequence[SweepRecord], name: str, namespace: str | None
+) -> tuple[tuple[str, str], list[SweepRecord]]:
+    """Return the (namespace, name) of the sweep that is meant, and its versions in the archive.
+
+    Args:
+        snapshot: the data.
+        runs: its rows, one a run.
+        known: the sweeps that the archive knows.
+        name: the sweep's name.
+        namespace: where it is; None where its name says enough.
+
+    Raises:
+        Missing: no sweep is called so.
+        BadRequest: several are.
+    """
+    addresses = {
+        *sweep_names(runs),
+        *snapshot.sweeps,
+        *((one.namespace or "", one.name) for one in known),
+    }
+    found = [(space, title) for space, title in addresses if title == name and namespace in {None, space}]
+    if not found:
+        titles = [title for _, title in addresses]
+        raise Missing(f"unknown sweep {name[:100]!r}{suggestion(name[:100], titles)}", "name")
+    if len(found) > 1:
+        places = ", ".join(sorted(space or "this workstation" for space, _ in found))
+        raise BadRequest(
+            f"several sweeps are called {name!r}: say in which namespace ({places})", "namespace"
+        )
+    return found[0], [one for one in known if (one.namespace or "", one.name) == found[0]]

@@ -11,13 +11,14 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from starlette.responses import StreamingResponse
 
 from slamhive.archive.records import CatalogEntry
-from slamhive.dashboard.answers import catalog, one_run, recordings
+from slamhive.dashboard.answers import catalog, one_run, recordings, searches
 from slamhive.dashboard.answers import sweeps as sweeps_answer
 from slamhive.dashboard.server.costs import costs_little
 from slamhive.dashboard.server.routes import FORMATS
 from slamhive.dashboard.server.service import Service, client_of, service_of
 from slamhive.dashboard.sources.archived import Snapshot
 from slamhive.runfiles.artifacts import ArtifactFolder
+from slamhive.tables.manifests import run_manifest
 
 Name = Annotated[str, Path(max_length=10_000)]
 Most = Annotated[int, Query(ge=10, le=20_000, description="Points at most.")]
@@ -58,6 +59,25 @@ async def sweep(
         request,
         service.asked_for,
         lambda data, stored: sweeps_answer.sweep(data, stored, name, namespace),
+    )
+
+
+@routes.get("/sweeps/{name}/search", summary="What a search tried, and the best so far", dependencies=FORMATS)
+async def search(
+    request: Request,
+    name: Name,
+    namespace: Annotated[
+        str | None, Query(max_length=253, description="Where it is; empty for a workstation.")
+    ] = None,
+) -> Response:
+    """Return each setting with its figures and why it was dropped, how the best came about, what matters."""
+    service = service_of(request)
+
+    async def known(_: Snapshot) -> searches.SearchMaterial:
+        return await service.run(lambda: searches.SearchMaterial.of(service.source))
+
+    return await service.answer_with(
+        request, known, lambda data, found: searches.search(data, found, name, namespace)
     )
 
 
@@ -127,7 +147,7 @@ async def manifest(request: Request, uid: Name) -> Response:
     await service.fresh()
     record = await service.run(lambda: one_run.find(service.source, uid))
     headers = {"Content-Disposition": _attachment(f"{record.name}.yaml")}
-    return Response(one_run.manifest(record), media_type="application/yaml", headers=headers)
+    return Response(run_manifest(record), media_type="application/yaml", headers=headers)
 
 
 @routes.get(

@@ -73,13 +73,8 @@ async def importance(
     *,
     metric: Metric = ERROR,
 ) -> Response:
-    """Share of the variance of the logarithm that each setting explains; adaptive searches left out."""
-    service = service_of(request)
-    return await service.answer_with(
-        request,
-        service.adaptive_sweeps,
-        lambda data, adaptive: studies.influences(data, filters, metric, adaptive),
-    )
+    """Share of the variance of the logarithm that each setting explains; runs of searches left out."""
+    return await service_of(request).answer(request, lambda data: studies.influences(data, filters, metric))
 
 
 @routes.get("/robustness", summary="Up to where on each axis each system still works")

@@ -52,9 +52,6 @@ G = TypeVar("G")
 REMEMBERED_BYTES = 24 * 2**20
 """Bytes of answers that are kept for those who ask the same."""
 
-_FAIR = frozenset({"Grid", "Random", "Sobol"})
-"""Ways of searching that don't look at results."""
-
 _SMALL = 1024
 _LEVEL = 4
 _THREADS = 4
@@ -139,12 +136,6 @@ class Service:
         """Return the sweeps that the archive knows, with how many runs each has."""
         records = await self.run(self.source.sweeps)
         return StoredSweeps(records, await self._totals.of(records))
-
-    async def adaptive_sweeps(self, _: Snapshot) -> frozenset[str]:
-        """Return the names of the sweeps whose points were chosen by earlier results."""
-        sweeps = await self.run(self.source.sweeps)
-        methods = {sweep.name: (sweep.spec.get("search") or {}).get("method", "Grid") for sweep in sweeps}
-        return frozenset(name for name, method in methods.items() if method not in _FAIR)
 
     async def threshold_searches(self, _: Snapshot) -> dict[str, Search]:
         """Return what the sweeps that sought thresholds sought, by name."""

@@ -29,6 +29,7 @@ from slamhive.kube.api.errors import ApiError, NotFound
 from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.api.watching import Follower, open_session
 from slamhive.kube.records import record_of
+from slamhive.model.search import choosing_method
 from slamhive.runfiles.artifacts import ArtifactFolder
 from slamhive.runfiles.ground_truth import DatasetTruths
 from slamhive.storage.state import OffloadingWatch
@@ -282,7 +283,9 @@ class ClusterSource:
         columns, length = stack([part for part in parts if part[1]])
         # A Sweep that the cluster holds is the current one of its name, whenever it was made.
         current = [
-            SweepVersion(sweep["uid"], name, self._identity, namespace, math.inf)
+            SweepVersion(
+                sweep["uid"], name, self._identity, namespace, math.inf, choosing_method(sweep["spec"])
+            )
             for (namespace, name), sweep in sweeps.items()
         ]
         known = {one.uid for one in current}

@@ -94,6 +94,7 @@ def sweep_in_short(obj: Object) -> dict[str, Any]:
         "spec": obj["spec"],
         "conditions": status.get("conditions") or [],
         "best": status.get("best") or [],
+        "search": status.get("search"),
     }
 
 

@@ -12,20 +12,22 @@ const [ACROSS, DOWN, GAP] = [54, 20, 8];
  * @param {any[]} series of what failed: their values are places along the shared axis, numbers of the field
  *   (0) and what else they have
  * @param {number} [width] of the chart, in pixels; what a field beside it needs
+ * @param {string[]} [names] what stands in the field: a field above the axes may have several rows
  */
-export function withField(option, where, series, width = 0) {
+export function withField(option, where, series, width = 0, names = ['failed']) {
   if (!series.some((one) => one.data.length)) return option;
   const { grid, xAxis, yAxis } = option;
   const bare = { gridIndex: 1, axisLine: { show: false }, axisTick: { show: false }, name: '' };
-  const field = { ...bare, type: 'category', data: ['failed'], splitLine: { show: false } };
+  const field = { ...bare, type: 'category', data: names, splitLine: { show: false } };
   const back = { show: true, borderWidth: 0, backgroundColor: 'rgba(128, 136, 146, 0.18)' };
   const above = where === 'above';
+  const down = DOWN * names.length;
   return {
     ...option,
     grid: above
       ? [
-          { ...grid, top: grid.top + DOWN + GAP },
-          { ...back, left: grid.left, right: grid.right, top: grid.top, height: DOWN },
+          { ...grid, top: grid.top + down + GAP },
+          { ...back, left: grid.left, right: grid.right, top: grid.top, height: down },
         ]
       : [
           { ...grid, right: grid.right + ACROSS + GAP },

@@ -8,10 +8,11 @@ const MOST = 20;
 
 /**
  * Return the chart of one subject, its height, and the rows of its table.
- * @param {Api.Subject} subject of /api/v1/analysis/importance
+ * @param {Pick<Api.Subject, 'parameters'|'interactions'>} subject of /api/v1/analysis/importance
+ * @param {string} [share] what is shared
  * @returns {Drawn & {rows: Array<{name: string, variance: number|null, together?: boolean}>}}
  */
-export function importanceCharts(subject) {
+export function importanceCharts(subject, share = 'variance') {
   /** @type {Array<{name: string, variance: number|null, together?: boolean}>} */
   const rows = [
     ...subject.parameters,
@@ -32,7 +33,7 @@ export function importanceCharts(subject) {
         type: 'value',
         min: 0,
         max: ({ max }) => Math.min(100, 10 * Math.max(1, Math.ceil(max * 0.13))),
-        name: 'share of the variance [%]',
+        name: `share of the ${share} [%]`,
         nameGap: 26,
       },
       yAxis: rowAxis(

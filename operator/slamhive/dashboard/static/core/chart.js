@@ -95,7 +95,7 @@ export function dressed(option, dark) {
     out.parallelAxis = option.parallelAxis.map((/** @type {any} */ one) => ({
       ...one,
       nameTextStyle: { color: ink.text },
-      axisLabel: { color: ink.faint, width: 80, overflow: 'truncate' },
+      axisLabel: { color: ink.faint, width: 80, overflow: 'truncate', ...one.axisLabel },
       axisLine: { lineStyle: { color: ink.faint } },
     }));
   }

@@ -50,6 +50,9 @@ export function groupTable(data, which = FIGURES) {
   const late = data.groups.some((group) => group.late)
     ? [{ name: 'late', title: '§ memory with frames that waited' }]
     : [];
+  const chosen = data.groups.some((group) => group.chosen)
+    ? [{ name: 'chosen', title: '¶ chosen by a search' }]
+    : [];
   const figures = data.metrics.flatMap((metric) =>
     which.map((one) => ({
       ...metric,
@@ -69,6 +72,7 @@ export function groupTable(data, which = FIGURES) {
       ...findings,
       ...reader,
       ...late,
+      ...chosen,
       ...figures,
     ],
     rows: data.groups.map((group) => ({
@@ -80,6 +84,7 @@ export function groupTable(data, which = FIGURES) {
       findings: group.findings.join(', '),
       reader: group.reader ? 'in it, or not known' : '',
       late: group.late ? 'in it: poses came late' : '',
+      chosen: group.chosen ? 'for its results' : '',
       equal: group.copies > 0 ? `${group.n} in ${group.n + group.copies} runs` : '',
       ...Object.fromEntries(
         data.metrics.flatMap((metric) =>

@@ -138,7 +138,7 @@ export default function Leaderboard() {
 }
 
 /** Columns of groups that a table of timeliness has no room for; the leaderboard above has them. */
-const BESIDE_FIGURES = ['coverage', 'failures', 'equal', 'findings', 'reader', 'late'];
+const BESIDE_FIGURES = ['coverage', 'failures', 'equal', 'findings', 'reader', 'late', 'chosen'];
 
 /**
  * What was known when: causal beside final errors, latencies, and whether nodes kept up.

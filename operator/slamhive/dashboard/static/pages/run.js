@@ -12,7 +12,7 @@ import { SuspectNotes } from '../core/suspects.js';
 import { TruthLink } from '../core/truth.js';
 import { html, useMemo } from '../core/ui.js';
 import { costColumns, loads } from './loads.js';
-import { Seen } from './seen.js';
+import { Seen } from '../core/seen.js';
 import { Tracks, trackTable } from './tracks.js';
 
 const LONGEST = 4000;

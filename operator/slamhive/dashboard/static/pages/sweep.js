@@ -10,6 +10,7 @@ import { TruthLink } from '../core/truth.js';
 import { html } from '../core/ui.js';
 import { RunRows } from './runrows.js';
 import { axesText, Place, Progress, runsOf, Spread, Statuses, sweepAddress, Versions } from './sweepcards.js';
+import { SearchSection } from './sweepsearch.js';
 
 const MOST_DATASETS = 12;
 const MOST_SETTINGS = 6;
@@ -109,6 +110,7 @@ function One({ name, namespace }) {
         </p>
       </section>
       <${Conditions} conditions=${sweep.conditions} />
+      ${sweep.search && html`<${SearchSection} url=${sweepAddress(name, namespace, '/api/v1', '/search')} />`}
       ${
         finished === 0 &&
         html`

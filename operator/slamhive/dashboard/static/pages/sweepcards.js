@@ -25,8 +25,8 @@ export function Progress({ sweep }) {
   return html`
     <${Bar} statuses=${sweep.statuses} share=${finished / (total || 1)} title=${title} />
     <p>
-      <b>${number(finished)}</b> of ${number(total)} runs finished
-      ${finished < total ? ` (${number((100 * finished) / total, 3)} %)` : ''}
+      <b>${number(finished)}</b>${sweep.search ? '' : ` of ${number(total)}`} runs finished
+      ${finished < total && !sweep.search ? ` (${number((100 * finished) / total, 3)} %)` : ''}
       ${rest.map(
         ([phase, count]) => html`
           ${' '}
@@ -107,10 +107,11 @@ export const runsOf = (name, namespace) =>
  * @param {string} name
  * @param {string|null} namespace
  * @param {string} [prefix]
+ * @param {string} [part] of what is told of it
  */
-export const sweepAddress = (name, namespace, prefix = '') =>
+export const sweepAddress = (name, namespace, prefix = '', part = '') =>
   address(
-    `${prefix}/sweeps/${encodeURIComponent(name)}`,
+    `${prefix}/sweeps/${encodeURIComponent(name)}${part}`,
     new Query(namespace === null ? [] : [['namespace', namespace]]),
   );
 

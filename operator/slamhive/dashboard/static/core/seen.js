@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 /** What a run's cameras saw at the moments at which it was lost. */
 import { momentsOf } from '../charts/moments.js';
-import { address } from '../core/address.js';
-import { useData } from '../core/api.js';
-import { clip, number } from '../core/format.js';
-import { Waiting } from '../core/parts.js';
-import { html, useMemo, useState } from '../core/ui.js';
+import { address } from './address.js';
+import { useData } from './api.js';
+import { clip, number } from './format.js';
+import { Waiting } from './parts.js';
+import { html, useMemo, useState } from './ui.js';
 
 /** @param {{base: string, data: Api.Trajectory}} props */
 export function Seen({ base, data }) {

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Manifests of what was run, as YAML that runs it again; pages and commands show the same."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from slamhive.model.base import API_VERSION
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from slamhive.model.results import RunRecord
+
+
+def manifest(kind: str, name: str, labels: Mapping[str, str], spec: Mapping[str, Any]) -> str:
+    """Return the YAML of an object."""
+    metadata: dict[str, Any] = {"name": name} | ({"labels": dict(labels)} if labels else {})
+    body = {"apiVersion": API_VERSION, "kind": kind, "metadata": metadata, "spec": dict(spec)}
+    return str(yaml.safe_dump(body, sort_keys=False, allow_unicode=True, width=100))
+
+
+def run_manifest(record: RunRecord, name: str | None = None) -> str:
+    """Return the YAML that runs a run again, under another name where one is given."""
+    return manifest("MappingRun", name or record.name, {}, spec_again(record))
+
+
+def spec_again(record: RunRecord) -> dict[str, Any]:
+    """Return the fields of a run's spec that say something."""
+    return {name: value for name, value in record.spec.items() if value not in (None, {}, [])}
