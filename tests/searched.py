@@ -8,7 +8,7 @@ import random
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
-from slamhive.analysis.searching import runs_seen
+from slamhive.analysis.searches.seen import runs_seen
 from slamhive.archive import Archive, SweepRecord
 from slamhive.engine.deciding import decide
 from slamhive.model.results import Outcome, Phase, Reason, Result, RunRecord

@@ -3,7 +3,7 @@
 
 import pytest
 
-from slamhive.analysis.searching import objective_problems
+from slamhive.analysis.searches.seen import objective_problems
 from slamhive.model.evaluation import EvaluationSettings
 from slamhive.model.search import Search
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from slamhive.analysis.thresholds import ThresholdStatus, estimate, thresholds
+from slamhive.analysis.searches.thresholds import ThresholdStatus, estimate, thresholds
 from slamhive.engine import RunSeen, ValueTally, decide
 from slamhive.model.errors import InputError
 from slamhive.model.sweep import Sweep

@@ -23,7 +23,7 @@ import { settingsOf } from '../../operator/slamhive/dashboard/static/pages/explo
 import { failureText, groupTable, onPhone } from '../../operator/slamhive/dashboard/static/pages/groups.js';
 import { cpuColumn } from '../../operator/slamhive/dashboard/static/core/format.js';
 import { loads } from '../../operator/slamhive/dashboard/static/pages/loads.js';
-import { folded } from '../../operator/slamhive/dashboard/static/pages/runrows.js';
+import { folded } from '../../operator/slamhive/dashboard/static/core/runrows.js';
 import { Bar, Spread } from '../../operator/slamhive/dashboard/static/pages/sweepcards.js';
 import { trackTable } from '../../operator/slamhive/dashboard/static/pages/tracks.js';
 import { answer, found, HOSTILE, text } from './helpers.js';

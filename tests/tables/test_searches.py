@@ -13,7 +13,7 @@ import yaml
 from searched import ERROR, fill_search, searched, sweep_of
 from slamhive.analysis.grouping import aggregate, without_chosen
 from slamhive.analysis.leaderboard import leaderboard
-from slamhive.analysis.searching import records_frame
+from slamhive.analysis.searches.seen import records_frame
 from slamhive.archive import Archive
 from slamhive.cli.main import main
 from slamhive.figures.asking import FigureKind, Wish

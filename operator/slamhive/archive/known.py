@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.searching import runs_seen
+from slamhive.analysis.searches.seen import runs_seen
 from slamhive.engine import decide_search
 from slamhive.model.canonical import normalize
 from slamhive.model.search import Trial, TrialOrigin

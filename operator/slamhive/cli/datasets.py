@@ -20,7 +20,7 @@ from slamhive.cli.parts.console import bytes_text, complain, listing, open_workb
 from slamhive.cli.parts.exits import FAILED, INTERRUPTED
 from slamhive.cli.parts.listing import show_catalog
 from slamhive.cli.parts.waiting import Work
-from slamhive.cli.showing import show
+from slamhive.cli.parts.showing import show
 from slamhive.cli.unlisting import remove_dataset, rename
 from slamhive.local.home.catalog import editor_line, load_workshop
 from slamhive.local.home.folder import Home

@@ -24,7 +24,7 @@ from slamhive.local.running.runner import Job
 from slamhive.local.running.workbench import Workbench
 from slamhive.model.errors import InputError, SlamHiveError, sentence
 from slamhive.model.run import MappingRun
-from slamhive.model.sizes import apply_refused, size_refused
+from slamhive.cli.parts.sizes import apply_refused, size_refused
 from slamhive.model.sweep import Sweep
 from slamhive.plan import SearchPlan, local_uid, probed
 from slamhive.sampling import require_sampler

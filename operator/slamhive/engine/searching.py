@@ -46,7 +46,7 @@ class RunSeen:
         return self.has_failed or self.values is not None
 
 
-class Layout(Protocol):
+class RunLayout(Protocol):
     """Numbers of the runs of each setting."""
 
     @property
@@ -136,7 +136,7 @@ class SearchDecision:
 
 
 def decide_search(
-    search: Search, layout: Layout, trials: Sequence[Trial], runs: Mapping[int, RunSeen], most: int
+    search: Search, layout: RunLayout, trials: Sequence[Trial], runs: Mapping[int, RunSeen], most: int
 ) -> SearchDecision:
     """Decide what a search by a sampler does next.
 
@@ -153,7 +153,7 @@ def decide_search(
     wanted: list[int] = []
     for step, size in enumerate(steps):
         # One after another, so that each is compared with those before it, whichever ended first.
-        compared: _Ranking | None = _Ranking()
+        compared: _TrialRanking | None = _TrialRanking()
         for standing in standings:
             if standing.is_decided or len(standing.scores) < step:
                 compared = None if not standing.is_decided else compared
@@ -190,7 +190,7 @@ def asked_next(search: Search, standings: Sequence[TrialStanding], most: int) ->
     return max(0, count + 1 - search.at_a_time) if may_ask else None
 
 
-class _Ranking:
+class _TrialRanking:
     """Scores of settings at a step, of which is asked how many are better than another one."""
 
     def __init__(self) -> None:
@@ -220,7 +220,7 @@ class _Ranking:
 
 
 def _compare(
-    standing: TrialStanding, score: Score | None, compared: _Ranking, *, size: int, block: int, keep: int
+    standing: TrialStanding, score: Score | None, compared: _TrialRanking, *, size: int, block: int, keep: int
 ) -> None:
     """Judge a setting after a step: it goes on, or is dropped with a word why."""
     standing.runs = size
@@ -240,7 +240,7 @@ def _compare(
 
 
 def _score(
-    search: Search, layout: Layout, order: Sequence[int], seen: Sequence[RunSeen | None]
+    search: Search, layout: RunLayout, order: Sequence[int], seen: Sequence[RunSeen | None]
 ) -> Score | None:
     """Return the figures of a setting: means over its repetitions, then over contexts their mean or worst.
 
@@ -266,7 +266,7 @@ def _score(
     return Score(failed / known, tuple(values))
 
 
-def _order(search: Search, layout: Layout) -> list[int]:
+def _order(search: Search, layout: RunLayout) -> list[int]:
     """Return the places of a setting's runs in the order in which they are done.
 
     The first repetitions come on each context in turn, then one repetition more on all of them, and so on.
@@ -281,12 +281,12 @@ def _order(search: Search, layout: Layout) -> list[int]:
     return begin + rest
 
 
-def _steps(search: Search, layout: Layout) -> list[int]:
+def _steps(search: Search, layout: RunLayout) -> list[int]:
     """Return how many of its runs a setting has had after each step."""
     return list(_growing(search, layout))
 
 
-def _growing(search: Search, layout: Layout) -> Iterator[int]:
+def _growing(search: Search, layout: RunLayout) -> Iterator[int]:
     if search.keep == 1:  # nothing is dropped
         yield layout.block
         return

@@ -65,7 +65,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class _Judged:
+class _JudgedValue:
     """What is known of a trial, and which of its runs are missing for more."""
 
     tally: ValueTally
@@ -74,7 +74,7 @@ class _Judged:
 
 
 @dataclass(frozen=True)
-class _Turn:
+class _RoundOfTrials:
     """A turn of a series: values that it asks for, or waits for; the last one asks for nothing."""
 
     number: int
@@ -129,10 +129,10 @@ def tallies(
 
 
 def _by_series(
-    space: SearchSpace, trials: Sequence[Trial], judged: Sequence[_Judged]
-) -> dict[str, dict[int, _Judged]]:
+    space: SearchSpace, trials: Sequence[Trial], judged: Sequence[_JudgedValue]
+) -> dict[str, dict[int, _JudgedValue]]:
     """Return what is known of the trials by series and rung; one that is of none is left out."""
-    found: dict[str, dict[int, _Judged]] = {}
+    found: dict[str, dict[int, _JudgedValue]] = {}
     for trial, one in zip(trials, judged, strict=True):
         series, value = space.part(trial.values)
         rung = space.ladder.rung(value)
@@ -143,7 +143,7 @@ def _by_series(
 
 def _judged(
     search: Search, space: SearchSpace, number: int, trial: Trial, runs: Mapping[int, RunSeen]
-) -> _Judged:
+) -> _JudgedValue:
     """Count a value's runs: no more of them than it takes to know whether enough fail."""
     order = [
         number * space.block + context * space.repetitions + repetition
@@ -160,11 +160,11 @@ def _judged(
         size = done + more
         missing = tuple(index for index in order[done:size] if index not in runs)
         if missing or more <= 0:
-            return _Judged(ValueTally(value, failed, len(known)), missing, done)
+            return _JudgedValue(ValueTally(value, failed, len(known)), missing, done)
         done = size
 
 
-def _turn(search: Search, ladder: Ladder, seen: Mapping[int, _Judged]) -> _Turn:
+def _turn(search: Search, ladder: Ladder, seen: Mapping[int, _JudgedValue]) -> _RoundOfTrials:
     """Return the turn at which a series is."""
     number = 0
     steps = _steps(ladder, search.failing.quantile)
@@ -172,14 +172,14 @@ def _turn(search: Search, ladder: Ladder, seen: Mapping[int, _Judged]) -> _Turn:
     while True:
         new = tuple(rung for rung in rungs if rung not in seen)
         if new:
-            return _Turn(number, new)
+            return _RoundOfTrials(number, new)
         found = [seen[rung] for rung in rungs]
         if any(one.missing for one in found):
-            return _Turn(number, is_pending=True)
+            return _RoundOfTrials(number, is_pending=True)
         try:
             rungs = steps.send([one.tally for one in found])
         except StopIteration:
-            return _Turn(number)
+            return _RoundOfTrials(number)
         number += 1
 
 
@@ -244,7 +244,7 @@ def _widest(ladder: Ladder, rungs: Sequence[int]) -> tuple[int, ...]:
     return (ladder.between(-start, width - start),) if width > 1 else ()
 
 
-def _standing(number: int, one: _Judged) -> TrialStanding:
+def _standing(number: int, one: _JudgedValue) -> TrialStanding:
     is_done = not one.missing
     is_known = one.tally.known > 0
     unknown = "nothing is known of its runs: the machine failed, or the measuring"

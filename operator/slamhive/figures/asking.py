@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from slamhive.analysis.frame import Frame
-    from slamhive.analysis.robustness import RobustnessWish
+    from slamhive.analysis.searches.robustness import RobustnessWish
 
 MOST_PANELS = 12
 MOST_SERIES = 12

@@ -6,16 +6,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from slamhive.analysis.metrics import label_of
-from slamhive.analysis.robustness import robustness
-from slamhive.analysis.thresholds import ThresholdStatus
+from slamhive.analysis.searches.robustness import robustness
+from slamhive.analysis.searches.thresholds import ThresholdStatus
 from slamhive.figures.asking import check_categories
 from slamhive.figures.pictures import Panel, Picture, PictureAxis, Reach
 from slamhive.reporting.titles import keys_text
 
 if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
-    from slamhive.analysis.robustness import RobustnessCard, RobustnessWish
-    from slamhive.analysis.thresholds import Threshold
+    from slamhive.analysis.searches.robustness import RobustnessCard, RobustnessWish
+    from slamhive.analysis.searches.thresholds import Threshold
 
 
 def reaches(frame: Frame, wish: RobustnessWish) -> Picture:

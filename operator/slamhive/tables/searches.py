@@ -16,7 +16,7 @@ import numpy as np
 
 from slamhive.analysis.grouping import where_equal
 from slamhive.analysis.importance import explained
-from slamhive.analysis.searching import rows_seen
+from slamhive.analysis.searches.seen import rows_seen
 from slamhive.analysis.selection import first_rows
 from slamhive.analysis.statistics import average_ranks
 from slamhive.engine import best_of
@@ -315,7 +315,7 @@ def tell(plan: SearchPlan, told: SearchRecord | None, frame: Frame) -> SearchSto
     search, block = plan.sweep.spec.search, plan.space.block
     runs = frame.select(first_rows(frame))
     done = where_equal(runs, "phase", Phase.SUCCEEDED) | where_equal(runs, "phase", Phase.FAILED)
-    ended = _Ended.of(runs.select(done & runs.column("index").present), search, block * len(plan.trials))
+    ended = _EndedRuns.of(runs.select(done & runs.column("index").present), search, block * len(plan.trials))
     decision = decide(search, plan, ended.seen)
     best = {one.number for one in best_of(decision.standings)} if search.objectives else set()
     trials = tuple(_tried(plan, standing, ended, standing.number in best) for standing in decision.standings)
@@ -344,7 +344,7 @@ def tell(plan: SearchPlan, told: SearchRecord | None, frame: Frame) -> SearchSto
 
 
 @dataclass(frozen=True)
-class _Ended:
+class _EndedRuns:
     """Runs that ended.
 
     Attributes:
@@ -360,7 +360,7 @@ class _Ended:
     moments: tuple[float, ...] = ()
 
     @classmethod
-    def of(cls, runs: Frame, search: Search, count: int) -> _Ended:
+    def of(cls, runs: Frame, search: Search, count: int) -> _EndedRuns:
         """Return the runs of a table that are of trials."""
         indices = runs.column("index").floats()
         runs = runs.select(indices < count)
@@ -382,7 +382,7 @@ class _Ended:
         return len(self.seen) - len(self.taken)
 
 
-def _tried(plan: SearchPlan, standing: TrialStanding, ended: _Ended, is_best: bool) -> TriedSetting:
+def _tried(plan: SearchPlan, standing: TrialStanding, ended: _EndedRuns, is_best: bool) -> TriedSetting:
     trial, block = plan.trials[standing.number], plan.space.block
     own = [
         index

@@ -36,7 +36,7 @@ from slamhive.local.home.folder import Home
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError
-from slamhive.model.sizes import size_refused
+from slamhive.cli.parts.sizes import size_refused
 from slamhive.plan import FixedCatalog, plan_problems, probed
 
 if TYPE_CHECKING:

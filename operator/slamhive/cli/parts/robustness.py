@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from slamhive.analysis.metrics import label_of
-from slamhive.analysis.robustness import RobustnessWish, robustness, searches_of
+from slamhive.analysis.searches.robustness import RobustnessWish, robustness, searches_of
 from slamhive.cli.parts.choosing import Also, EvaluationName, Superseded, Sweeps, Where, choose_runs, select
 from slamhive.cli.parts.console import out, remark
 from slamhive.cli.parts.tables import PrintFormat, show, write_json, write_markdown

@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.metrics import name_of
-from slamhive.analysis.searching import objective_problems
+from slamhive.analysis.searches.seen import objective_problems
 from slamhive.archive import Archive
 from slamhive.cli.parts.console import plural
 from slamhive.engine import TrialStanding, decide_search

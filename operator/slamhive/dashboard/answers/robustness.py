@@ -5,15 +5,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from slamhive.analysis.robustness import robustness
+from slamhive.analysis.searches.robustness import robustness
 from slamhive.dashboard.answering.encoding import Body, plain
 from slamhive.dashboard.answers.columns import heading
 from slamhive.model.errors import InputError
 from slamhive.tables.queries import QueryError, select
 
 if TYPE_CHECKING:
-    from slamhive.analysis.robustness import RobustnessWish
-    from slamhive.analysis.thresholds import Threshold
+    from slamhive.analysis.searches.robustness import RobustnessWish
+    from slamhive.analysis.searches.thresholds import Threshold
     from slamhive.dashboard.sources.archived import Snapshot
     from slamhive.tables.queries import Pairs
 

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from slamhive.analysis.boards import Window
 from slamhive.analysis.comparing import MAX_COMPETITORS
-from slamhive.analysis.robustness import RobustnessWish
+from slamhive.analysis.searches.robustness import RobustnessWish
 from slamhive.dashboard.answers import common_support, studies, truth_suspects
 from slamhive.dashboard.answers import versions as versions_answer
 from slamhive.dashboard.answers.robustness import card_of

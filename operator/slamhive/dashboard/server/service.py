@@ -19,7 +19,7 @@ from fastapi import Request, Response
 from starlette.responses import StreamingResponse
 
 from slamhive import __version__
-from slamhive.analysis.robustness import searches_of
+from slamhive.analysis.searches.robustness import searches_of
 from slamhive.dashboard.answering.encoding import (
     TYPES,
     Body,

@@ -218,7 +218,7 @@ def _write(path: Path, frame: Array) -> None:
 
 
 @dataclass(frozen=True)
-class _Taken:
+class _TakenFrame:
     """Files of a role that are taken, and whose message is copied for a sensor that is given."""
 
     folder: Path
@@ -227,7 +227,7 @@ class _Taken:
 
 def _taken(
     shown: Mapping[Role, ShownFrames], gives: Mapping[Role, GivenSensor], folder: Path
-) -> dict[Role, _Taken]:
+) -> dict[Role, _TakenFrame]:
     """Return what a program wrote by role, each whole.
 
     Raises:
@@ -251,7 +251,7 @@ def _taken(
     for name in entries:
         if name != SENSORS:
             _check_files(folder / name, expected[name])
-            found[Role(name)] = _Taken(folder / name, expected[name].ending)
+            found[Role(name)] = _TakenFrame(folder / name, expected[name].ending)
     return found
 
 
@@ -345,8 +345,8 @@ def _made(  # noqa: PLR0917 - for threads
     connection: Any,
     raw: bytes,
     number: int,
-    own: _Taken | None,
-    others: list[tuple[Role, _Taken]],
+    own: _TakenFrame | None,
+    others: list[tuple[Role, _TakenFrame]],
     sensors: Mapping[Role, SensorView],
 ) -> list[tuple[Any, Any]]:
     """Return the messages of a frame, each with its connection: the sensor's own, and what follows it."""
@@ -361,7 +361,7 @@ def _made(  # noqa: PLR0917 - for threads
     return found
 
 
-def _read(files: _Taken, number: int) -> tuple[Array, str]:
+def _read(files: _TakenFrame, number: int) -> tuple[Array, str]:
     """Return a frame that the program wrote, and what it is called."""
     path = files.folder / frame_file(number, files.ending)
     name = f"{files.folder.name}/{path.name}"

@@ -74,7 +74,7 @@ class FrameMaker(Protocol):
 
 
 @dataclass(frozen=True)
-class _Wanted:
+class _WantedVariant:
     """What a run asks for, in two parts: what the program is given, and what is prepared of its frames."""
 
     recorded: tuple[Role, ...]
@@ -82,7 +82,7 @@ class _Wanted:
     after: InputOptions
 
 
-def _wanted(roles: Sequence[Role], options: InputOptions, program: PreparingProgram) -> _Wanted:
+def _wanted(roles: Sequence[Role], options: InputOptions, program: PreparingProgram) -> _WantedVariant:
     recorded = program.recorded(roles)
     remap = {role: name for role, name in options.remap.items() if role in map(str, recorded)}
     told = options.perturb.as_json() if options.perturb else {}
@@ -90,7 +90,7 @@ def _wanted(roles: Sequence[Role], options: InputOptions, program: PreparingProg
     told = {key: told[key] for key in (*TOLD, "seed") if told.get(key)}
     perturb = Perturbation.model_validate(told) if any(key in told for key in TOLD) else None
     before = options.replace(prepared_by=None, remap=remap)
-    return _Wanted(recorded, before, InputOptions(perturb=perturb))
+    return _WantedVariant(recorded, before, InputOptions(perturb=perturb))
 
 
 def prepare_by_program(  # noqa: PLR0917 - as `prepare`

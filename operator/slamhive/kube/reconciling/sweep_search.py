@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from pydantic import ValidationError
 
-from slamhive.analysis.searching import runs_seen
+from slamhive.analysis.searches.seen import runs_seen
 from slamhive.contract.settled import is_settled
 from slamhive.engine import (
     PointState,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from slamhive.analysis.searching import runs_seen
+from slamhive.analysis.searches.seen import runs_seen
 from slamhive.archive.known import known_trials
 from slamhive.engine import PointState, RunSeen, SearchDecision, best_of, decide, decide_search
 from slamhive.model.canonical import normalize

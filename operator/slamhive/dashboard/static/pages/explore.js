@@ -19,7 +19,7 @@ import { SmallMultiples } from './multiples.js';
 import { Parallel } from './parallel.js';
 import { Pareto } from './pareto.js';
 import { usePublished } from './published.js';
-import { RunRows } from './runrows.js';
+import { RunRows } from '../core/runrows.js';
 import { Contours, Slices } from './surface.js';
 
 const KINDS = [

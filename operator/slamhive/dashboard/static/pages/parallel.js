@@ -7,7 +7,7 @@ import { isNumeric } from '../core/filters.js';
 import { cell, clip, cpuColumn, headingOf, number } from '../core/format.js';
 import { NothingFits, Notes, Table, Waiting } from '../core/parts.js';
 import { html, useEffect, useMemo, useState } from '../core/ui.js';
-import { dressed } from './runrows.js';
+import { dressed } from '../core/runrows.js';
 
 const MOST = 1000;
 

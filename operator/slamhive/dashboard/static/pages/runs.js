@@ -8,7 +8,7 @@ import { foremost, useNarrow } from '../core/narrow.js';
 import { Empty, Fault, Link, NothingFits, Notes, Table, Tick, useTitle, Waiting } from '../core/parts.js';
 import { TruthLink } from '../core/truth.js';
 import { html, useState } from '../core/ui.js';
-import { FINDINGS, folded, KEPT, onPhone, Same } from './runrows.js';
+import { FINDINGS, folded, KEPT, onPhone, Same } from '../core/runrows.js';
 
 /** What a player notes of nodes is there where there are any. */
 const CAUSAL = 'beside.online.ate.rmse';

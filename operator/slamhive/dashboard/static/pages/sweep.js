@@ -8,7 +8,7 @@ import { foremost, useNarrow } from '../core/narrow.js';
 import { Fault, Link, runLink, Table, useTitle, Waiting } from '../core/parts.js';
 import { TruthLink } from '../core/truth.js';
 import { html } from '../core/ui.js';
-import { RunRows } from './runrows.js';
+import { RunRows } from '../core/runrows.js';
 import { axesText, Place, Progress, runsOf, Spread, Statuses, sweepAddress, Versions } from './sweepcards.js';
 import { SearchSection } from './sweepsearch.js';
 

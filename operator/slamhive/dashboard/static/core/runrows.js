@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 /** The runs behind a chart. */
-import { address } from '../core/address.js';
-import { csvOf, useData } from '../core/api.js';
-import { clip, namedValue, number, shortTitles } from '../core/format.js';
-import { foremost, useNarrow } from '../core/narrow.js';
-import { Fault, Link, runLink, Status, Table } from '../core/parts.js';
-import { TruthLink } from '../core/truth.js';
-import { html } from '../core/ui.js';
+import { address } from './address.js';
+import { csvOf, useData } from './api.js';
+import { clip, namedValue, number, shortTitles } from './format.js';
+import { foremost, useNarrow } from './narrow.js';
+import { Fault, Link, runLink, Status, Table } from './parts.js';
+import { TruthLink } from './truth.js';
+import { html } from './ui.js';
 
 const SHOWN = ['uid', 'run', 'algorithm', 'sensors', 'dataset', 'status', 'coverage'];
 
 /**
  * The first runs that some filters leave.
- * @param {{filters: import('../core/address.js').Query, extra: string[], selected?: boolean, title?: string,
+ * @param {{filters: import('./address.js').Query, extra: string[], selected?: boolean, title?: string,
  *   sort?: string}} props
  */
 export function RunRows({ filters, extra, selected = false, title = 'Runs', sort = '-finished' }) {

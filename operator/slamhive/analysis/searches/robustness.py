@@ -17,7 +17,7 @@ from slamhive.analysis.expressions import parse_where
 from slamhive.analysis.grouping import FAILED_OF_ITSELF, SUBJECT, Groups, apart, varies, varying, where_equal
 from slamhive.analysis.measures import CONFIGURATION
 from slamhive.analysis.selection import first_rows
-from slamhive.analysis.thresholds import Threshold, estimate
+from slamhive.analysis.searches.thresholds import Threshold, estimate
 from slamhive.engine import ValueTally
 from slamhive.model.errors import InputError
 from slamhive.model.results import Outcome, Phase
