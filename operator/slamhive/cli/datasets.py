@@ -19,8 +19,8 @@ from slamhive.cli import catalogue
 from slamhive.cli.parts.console import bytes_text, complain, listing, open_workbench, out, plural, remark
 from slamhive.cli.parts.exits import FAILED, INTERRUPTED
 from slamhive.cli.parts.listing import show_catalog
-from slamhive.cli.parts.waiting import Work
 from slamhive.cli.parts.showing import show
+from slamhive.cli.parts.waiting import Work
 from slamhive.cli.unlisting import remove_dataset, rename
 from slamhive.local.home.catalog import editor_line, load_workshop
 from slamhive.local.home.folder import Home

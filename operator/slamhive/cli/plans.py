@@ -15,6 +15,7 @@ from slamhive.cli.parts import searches, tables
 from slamhive.cli.parts.checked import check_files
 from slamhive.cli.parts.choosing import Also
 from slamhive.cli.parts.console import bytes_text, out, plural, remark, warn
+from slamhive.cli.parts.sizes import apply_refused, size_refused
 from slamhive.local.home.catalog import load_workshop
 from slamhive.local.home.extent import DiskTally
 from slamhive.local.home.folder import Home
@@ -24,7 +25,6 @@ from slamhive.local.running.runner import Job
 from slamhive.local.running.workbench import Workbench
 from slamhive.model.errors import InputError, SlamHiveError, sentence
 from slamhive.model.run import MappingRun
-from slamhive.cli.parts.sizes import apply_refused, size_refused
 from slamhive.model.sweep import Sweep
 from slamhive.plan import SearchPlan, local_uid, probed
 from slamhive.sampling import require_sampler

@@ -96,8 +96,8 @@ def _front(story: SearchStory, metrics: list[Metric]) -> tuple[list[Mark], tuple
     }
     rest = [place for number, place in places.items() if number not in story.best]
     best = sorted(places[number] for number in story.best)
-    corners = np.array(best)
-    marks: list[Mark] = [*_dots(_COMPLETE, rest, hollow=True), Line(-1, *corners.T, steps=_is_small(story))]
+    x, y = np.array(best).T
+    marks: list[Mark] = [*_dots(_COMPLETE, rest, hollow=True), Line(-1, x, y, steps=_is_small(story))]
     marks += _dots(_BEST, best, hollow=False, small=False)
     return marks, (metrics[0].label, metrics[1].label)
 

@@ -16,8 +16,8 @@ from pydantic import ValidationError
 from slamhive.analysis.expressions import parse_where
 from slamhive.analysis.grouping import FAILED_OF_ITSELF, SUBJECT, Groups, apart, varies, varying, where_equal
 from slamhive.analysis.measures import CONFIGURATION
-from slamhive.analysis.selection import first_rows
 from slamhive.analysis.searches.thresholds import Threshold, estimate
+from slamhive.analysis.selection import first_rows
 from slamhive.engine import ValueTally
 from slamhive.model.errors import InputError
 from slamhive.model.results import Outcome, Phase
@@ -197,7 +197,7 @@ def _series(part: Frame, axis: str, searches: Sequence[Search]) -> list[tuple[di
     part, facets = apart(part, [*SUBJECT, *names, axis], ())
     # A run that broke off was not measured: it belongs to those that were.
     facets = [name for name in facets if len({*part.column(name).tolist()} - {None}) > 1]
-    groups = Groups(part, dict.fromkeys([*SUBJECT, *names, *facets]))
+    groups = Groups(part, list(dict.fromkeys([*SUBJECT, *names, *facets])))
     return list(zip(groups.keys, groups.members(), strict=True))
 
 

@@ -16,6 +16,7 @@ from slamhive.cli.parts.console import command_name, listing, out, remark
 from slamhive.cli.parts.exits import INTERRUPTED
 from slamhive.cli.parts.planning import planned, sweeps_of
 from slamhive.cli.parts.searches import extent_text
+from slamhive.cli.parts.sizes import size_refused
 from slamhive.kube.api.kinds import Kind
 from slamhive.kube.user import cancelling
 from slamhive.kube.user.connecting import ConnectedCluster, connected, find_target
@@ -36,7 +37,6 @@ from slamhive.local.home.folder import Home
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError
-from slamhive.cli.parts.sizes import size_refused
 from slamhive.plan import FixedCatalog, plan_problems, probed
 
 if TYPE_CHECKING:
