@@ -39,7 +39,9 @@ function Told({ data, url }) {
   const front = useMemo(() => data.objectives.length === 2 && growingFront(data), [data]);
   const lines = useMemo(
     () =>
-      data.trials.some((trial) => trial.runs > 0) && data.objectives.length > 0 && settingLines(data, 0, narrow),
+      data.trials.some((trial) => trial.runs > 0) &&
+      data.objectives.length > 0 &&
+      settingLines(data, 0, narrow),
     [data, narrow],
   );
   const many = data.contexts.length > 1;
