@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.cli.main import main
-from slamhive.model import sizes
+from slamhive.cli.parts import sizes
 
 if TYPE_CHECKING:
     from collections.abc import Callable
