@@ -51,11 +51,11 @@ class RunLayout(Protocol):
 
     @property
     def contexts(self) -> Sequence[object]:
-        """Return what each setting is run on."""
+        """Return the contexts that each setting is run in."""
 
     @property
     def repetitions(self) -> int:
-        """Return how often at most on each."""
+        """Return the number of runs in each context at most."""
 
     @property
     def block(self) -> int:
@@ -177,7 +177,7 @@ def decide_search(
 
 
 def asked_next(search: Search, standings: Sequence[TrialStanding], most: int) -> int | None:
-    """Return how many trials the sampler is told of for the next one; None where none is asked for now.
+    """Return the number of trials that the sampler is told of for the next one; None: none is asked for now.
 
     Args:
         search: its settings.
@@ -208,7 +208,7 @@ class _TrialRanking:
             self._all.append((score.failed, *score.values))
 
     def better(self, score: Score) -> int:
-        """Return how many dominate a score."""
+        """Return the number of scores that dominate one."""
         if len(score.values) == 1:  # one objective has an order, in which they are found at once
             return bisect.bisect_left(self._sorted, score)
         if not self._all:
@@ -282,7 +282,7 @@ def _order(search: Search, layout: RunLayout) -> list[int]:
 
 
 def _steps(search: Search, layout: RunLayout) -> list[int]:
-    """Return how many of its runs a setting has had after each step."""
+    """Return the numbers of runs that a setting has had after each step."""
     return list(_growing(search, layout))
 
 
