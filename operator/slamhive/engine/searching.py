@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from slamhive.model.search import Aggregate, Goal
+from slamhive.model.search import Goal, SettingAggregate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -261,7 +261,7 @@ def _score(
     for number, objective in enumerate(search.objectives):
         sign = -1 if objective.goal is Goal.MAXIMIZE else 1
         means = [sign * math.fsum(one[number] for one in found) / len(found) for found in by_context.values()]
-        worst = search.aggregate is Aggregate.WORST
+        worst = search.aggregate is SettingAggregate.WORST
         values.append((max(means) if worst else math.fsum(means) / len(means)) if means else math.inf)
     return Score(failed / known, tuple(values))
 

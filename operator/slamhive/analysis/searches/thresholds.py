@@ -167,7 +167,7 @@ def estimate(axis: str, series: Mapping[str, Any], found: Sequence[ValueTally], 
 
 
 def _split(ordered: Sequence[ValueTally], quantile: float) -> tuple[float, int, int]:
-    """Return the cost of the best split, the number of values against it, and the place of the first that fails."""
+    """Return the best split's cost, the count of values against it, and the place of the first that fails."""
     excess = [one.failed - quantile * one.known or _NEARLY for one in ordered]
     fails = [one.share >= quantile for one in ordered]
     best: tuple[float, int, int] | None = None

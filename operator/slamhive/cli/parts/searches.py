@@ -13,7 +13,7 @@ from slamhive.engine import TrialStanding, decide_search
 from slamhive.local.home.folder import Home
 from slamhive.local.running.runner import Job
 from slamhive.model.errors import InputError
-from slamhive.model.search import Aggregate, Goal, Trial
+from slamhive.model.search import Goal, SettingAggregate, Trial
 from slamhive.plan import SearchPlan, local_uid
 from slamhive.tables.reading import read_archive
 from slamhive.tables.text import number_text, short_name
@@ -176,7 +176,7 @@ def _runs_of(search: SearchUnderWay, standing: TrialStanding) -> str:
     """Return the runs that the figures of a setting are the mean of, in words."""
     failed = round(standing.score.failed * standing.runs) if standing.score is not None else 0
     some = f", {failed} of them failed" if failed else ""
-    is_worst = search.search.aggregate is Aggregate.WORST
+    is_worst = search.search.aggregate is SettingAggregate.WORST
     mean = "mean of the worst dataset, of" if is_worst else "mean of"
     return f"{mean} {plural(standing.runs, 'run')}{some}"
 

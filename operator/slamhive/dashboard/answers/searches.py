@@ -80,7 +80,7 @@ def search(snapshot: Snapshot, known: SearchMaterial, name: str, namespace: str 
 def _live_record(
     address: tuple[str, str], live: Mapping[str, Any], stored: SweepRecord | None
 ) -> SweepRecord:
-    """Return the record of a cluster's Sweep as it is now, or as it was stored where nothing else is left of it."""
+    """Return the record of a cluster's Sweep as it is now, or as stored where that is all that is left."""
     told = live.get("search") or {}
     try:
         now = SearchRecord(trials=told.get("trials") or [], spared=told.get("spared") or 0)
