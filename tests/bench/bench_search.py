@@ -210,7 +210,7 @@ def row(what: str, ours: str, limit: str) -> None:
 
 
 def near(grid: KnownGrid, courses: list[Course]) -> str:
-    """Return how near to the best setting searches came."""
+    """Return the nearness of searches to the best setting, in words."""
     ratios = [course.best / grid.best for course in courses]
     found = sum(ratio <= NEAR for ratio in ratios)
     runs = [course.runs for course in courses]

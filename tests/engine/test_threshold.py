@@ -45,7 +45,7 @@ def sought(plan: SearchPlan, run: Callable[[Any], RunSeen], order: random.Random
 
 
 def above(limit: float, axis: str = RINGS) -> Callable[[Any], RunSeen]:
-    """Return what fails at values above a limit."""
+    """Return the runs that fail at values above a limit."""
     return lambda point: RunSeen(has_failed=point.coordinates[axis] > limit, values=())
 
 

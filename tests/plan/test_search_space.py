@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a search may try: conditions, scales, and sentences on what it can't."""
+"""Settings that a search may try: conditions, scales, and sentences on those that it can't."""
 
 from __future__ import annotations
 

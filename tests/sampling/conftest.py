@@ -71,7 +71,7 @@ class PlayedSearch:
         self.asked: list[tuple[list[Trial], SearchDecision]] = []
 
     def decide(self) -> SearchDecision:
-        """Return what is next."""
+        """Return the decision on the next steps."""
         plan = self.plan
         return decide_search(self.search, plan.space, plan.trials, self.runs, plan.most_trials)
 

@@ -66,7 +66,7 @@ _IMAGE = "provenance.imageID"
 _ALGORITHM = ("provenance.algorithmHash", _ENVIRONMENT)
 _DATASET = ("provenance.datasetSha256", "provenance.preparation")
 _PREPARED_BY = "provenance.preparedBy"
-"""That of each program by itself: a dataset may have several."""
+"""Digest of the program that prepared the data, compared by program: a dataset may have several."""
 _DIGITS = 8
 
 

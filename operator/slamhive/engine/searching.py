@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from slamhive.model.search import Aggregate, Goal
+from slamhive.model.search import Goal, SettingAggregate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -51,11 +51,11 @@ class RunLayout(Protocol):
 
     @property
     def contexts(self) -> Sequence[object]:
-        """Return what each setting is run on."""
+        """Return the contexts that each setting is run in."""
 
     @property
     def repetitions(self) -> int:
-        """Return how often at most on each."""
+        """Return the number of runs in each context at most."""
 
     @property
     def block(self) -> int:
@@ -177,7 +177,7 @@ def decide_search(
 
 
 def asked_next(search: Search, standings: Sequence[TrialStanding], most: int) -> int | None:
-    """Return how many trials the sampler is told of for the next one; None where none is asked for now.
+    """Return the number of trials that the sampler is told of for the next one; None: none is asked for now.
 
     Args:
         search: its settings.
@@ -208,7 +208,7 @@ class _TrialRanking:
             self._all.append((score.failed, *score.values))
 
     def better(self, score: Score) -> int:
-        """Return how many dominate a score."""
+        """Return the number of scores that dominate one."""
         if len(score.values) == 1:  # one objective has an order, in which they are found at once
             return bisect.bisect_left(self._sorted, score)
         if not self._all:
@@ -261,7 +261,7 @@ def _score(
     for number, objective in enumerate(search.objectives):
         sign = -1 if objective.goal is Goal.MAXIMIZE else 1
         means = [sign * math.fsum(one[number] for one in found) / len(found) for found in by_context.values()]
-        worst = search.aggregate is Aggregate.WORST
+        worst = search.aggregate is SettingAggregate.WORST
         values.append((max(means) if worst else math.fsum(means) / len(means)) if means else math.inf)
     return Score(failed / known, tuple(values))
 
@@ -282,7 +282,7 @@ def _order(search: Search, layout: RunLayout) -> list[int]:
 
 
 def _steps(search: Search, layout: RunLayout) -> list[int]:
-    """Return how many of its runs a setting has had after each step."""
+    """Return the numbers of runs that a setting has had after each step."""
     return list(_growing(search, layout))
 
 

@@ -66,7 +66,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _JudgedValue:
-    """What is known of a trial, and which of its runs are missing for more."""
+    """Knowledge of a trial, and those of its runs that are missing for more."""
 
     tally: ValueTally
     missing: tuple[int, ...]
@@ -131,7 +131,7 @@ def tallies(
 def _by_series(
     space: SearchSpace, trials: Sequence[Trial], judged: Sequence[_JudgedValue]
 ) -> dict[str, dict[int, _JudgedValue]]:
-    """Return what is known of the trials by series and rung; one that is of none is left out."""
+    """Return the judged trials by series and rung; one that is of none is left out."""
     found: dict[str, dict[int, _JudgedValue]] = {}
     for trial, one in zip(trials, judged, strict=True):
         series, value = space.part(trial.values)

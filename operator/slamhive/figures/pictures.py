@@ -161,7 +161,7 @@ class MissingMark:
 
 @dataclass(frozen=True)
 class Reach:
-    """How far a system goes along an axis until it fails.
+    """Stretch of an axis along which a system goes until it fails.
 
     Attributes:
         row: its place along y.

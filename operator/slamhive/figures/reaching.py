@@ -16,7 +16,7 @@ _FAILS = COLOURS[4]
 _INK = "#404040"
 _HALF = 0.19
 _LOW = 0.14
-"""How far a bar lies below the middle of its row, whose counts stand above it."""
+"""Distance of a bar below the middle of its row, whose counts stand above it."""
 
 
 def draw_reach(axes: Any, mark: Reach, points: float) -> None:

@@ -23,7 +23,7 @@ _BEST, _COMPLETE, _DROPPED = range(3)
 
 
 def search(story: SearchStory, wish: Wish) -> Picture:
-    """Return what a search came to.
+    """Return the picture of a search's results so far.
 
     Args:
         story: the search.

@@ -122,7 +122,7 @@ def _work(root: Path) -> str:
 
 
 @dataclass(frozen=True)
-class _Shown:
+class _ShownProgram:
     """A program that has run in a container of this pod, before this one.
 
     Attributes:
@@ -139,7 +139,7 @@ class _Shown:
 
     @property
     def digest(self) -> str:
-        """Return what tells it from others: its image as it is named, by its digest where it has one."""
+        """Return the digest that tells it from others, of its image as named: by digest where it has one."""
         return program_digest(self.program)
 
     def work(self, key: str) -> Path:  # noqa: ARG002
@@ -147,7 +147,7 @@ class _Shown:
         return self.folder
 
     def run(self, work: Path, frames: int, progress: Callable[[float], None]) -> Path:  # noqa: ARG002
-        """Return what it wrote."""
+        """Return the folder that it wrote into."""
         return work / "own" / "out"
 
     def failure(self, sentence: str, work: Path) -> InputError:  # noqa: ARG002
@@ -159,11 +159,11 @@ class _Shown:
         """Leave all to the pod, with which it goes."""
 
 
-def _maker(entry: DatasetEntry, request: PrepareRequest, root: Path) -> _Shown | None:
+def _maker(entry: DatasetEntry, request: PrepareRequest, root: Path) -> _ShownProgram | None:
     name = request.input.program
     if name is None:
         return None
-    return _Shown(name, entry.name, entry.dataset.spec.preparation(name), root / "work")
+    return _ShownProgram(name, entry.name, entry.dataset.spec.preparation(name), root / "work")
 
 
 def _making(dataset: Dataset) -> str:

@@ -441,7 +441,7 @@ def observe_variant(job: Object | None, pods: Iterable[Object]) -> VariantObserv
 
 
 def _of_program(job: Object | None, pod: Object | None) -> Problem | None:
-    """Return what a program of the Dataset failed of, where a preparation ended in its container."""
+    """Return the problem of a program of the Dataset, where a preparation failed in its container."""
     name = labels_of(job or {}).get(Label.PREPARATION)
     if name is None or pod is None or ending_of(pod, PREPARE) is not None:
         return None

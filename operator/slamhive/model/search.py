@@ -69,7 +69,7 @@ class TrialRepetitions(Model):
         return self
 
 
-class Aggregate(Choice):
+class SettingAggregate(Choice):
     """Ways to make one figure of a setting's figures on several datasets."""
 
     MEAN = "Mean"
@@ -121,8 +121,8 @@ class Search(Model):
         "of a threshold none.",
         max_length=32,
     )
-    aggregate: Aggregate = Field(
-        default=Aggregate.MEAN, description="Figure over datasets: their mean, or the worst."
+    aggregate: SettingAggregate = Field(
+        default=SettingAggregate.MEAN, description="Figure over datasets: their mean, or the worst."
     )
     keep: int = Field(
         default=4, ge=1, le=100, description="After each step one in so many settings goes on; 1: all."

@@ -252,7 +252,7 @@ class BestTrial(_Item):
 
 
 class SearchStatus(_Item):
-    """What a search has tried, and how far it is."""
+    """Settings that a search has tried, and its progress."""
 
     trials: list[Trial] | None = optional(
         "Settings that are tried, by number; what stands here is never drawn anew.", max_length=MAX_TRIALS

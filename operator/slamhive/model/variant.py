@@ -83,12 +83,12 @@ class PreparingProgram(Model):
 
 
 def program_title(name: str, dataset: str) -> str:
-    """Return what a preparing program is called in sentences."""
+    """Return the name for a preparing program in sentences."""
     return f"the preparation {name!r} of dataset {dataset!r}"
 
 
 def program_digest(program: PreparingProgram) -> str:
-    """Return what tells a preparing program of an image from others, where only the image's name is known."""
+    """Return the digest that tells a preparing program from others, where only its image's name is known."""
     return digest({"image": program.image, "command": program.command})
 
 

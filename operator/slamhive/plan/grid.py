@@ -98,7 +98,7 @@ class Combined(Protocol):
         """Return the step on each axis; None for a combination that isn't of steps."""
 
     def addition(self, row: int) -> Addition:
-        """Return what is added to a row, which for a combination that isn't of steps is all there is."""
+        """Return the addition to a row, which for a combination that isn't of steps is all there is."""
 
 
 class Grid:

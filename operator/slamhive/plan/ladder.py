@@ -90,7 +90,7 @@ class Ladder:
 
     @cached_property
     def halvings(self) -> int:
-        """Return how many values bisection tries between the ends at most."""
+        """Return the number of values that bisection tries between the ends at most."""
         rungs = len(self) - 1
         if self.is_log and isinstance(self._values, range):
             return 2 * math.ceil(math.log2(rungs)) if rungs > 1 else 0

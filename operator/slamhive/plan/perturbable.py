@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What perturbations take of a dataset and of the form an algorithm reads; what can't be had is refused."""
+"""Needs of perturbations, of a dataset and of the form an algorithm reads; unmet ones are refused."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def perturbation_problems(
 
 
 def turning_sources(dataset: Dataset) -> list[str]:
-    """Return what says how a dataset's platform turns: names of IMUs, then ``groundTruth``."""
+    """Return the sources that say how a dataset's platform turns: names of IMUs, then ``groundTruth``."""
     spec = dataset.spec
     found = [name for name, sensor in spec.sensors.items() if sensor.type is SensorType.IMU]
     truth = spec.ground_truth

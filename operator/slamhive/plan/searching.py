@@ -237,7 +237,7 @@ class SearchSpace:
 
     @property
     def values_at_most(self) -> int:
-        """Return how many values are tried for a threshold at most: ends, halvings, and a few beside."""
+        """Return the number of values tried for a threshold at most: ends, halvings, and a few beside."""
         more = VALUES_NEAR + VALUES_BESIDE + VALUES_UNKNOWN
         return min(len(self.ladder), 2 + self.ladder.halvings + more)
 
@@ -262,7 +262,7 @@ class SearchSpace:
         return any(one is not None and one.when for one in declared)
 
     def in_effect(self, values: Sequence[Any]) -> list[bool]:
-        """Return whether each axis has an effect beside the others' values; the others set nothing."""
+        """Return a flag for each axis: it has an effect beside the others' values; the others set nothing."""
         if not self.is_conditional:
             return [True] * len(self.axes)
         fields = dict(self._template)

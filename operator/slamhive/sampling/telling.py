@@ -89,7 +89,7 @@ class TrialsTold:
         return set(self._keys)
 
     def question(self, search: Search, standings: Sequence[TrialStanding], told: int) -> dict[str, Any]:
-        """Return what the process is asked for the next trial.
+        """Return the question put to the process for the next trial.
 
         Args:
             search: its settings.

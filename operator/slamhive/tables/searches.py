@@ -113,7 +113,7 @@ class TriedSetting:
 
 @dataclass(frozen=True)
 class SearchStep:
-    """What was the best from a run on.
+    """Best settings from a run on.
 
     Attributes:
         runs: how many runs had been computed by then.
@@ -126,7 +126,7 @@ class SearchStep:
 
 @dataclass(frozen=True)
 class AxisInfluence:
-    """How much of the order of settings an axis explains.
+    """Share of the order of settings that an axis explains.
 
     Attributes:
         label: the axis.
@@ -189,7 +189,7 @@ class SearchStory:
 
     @property
     def averaged(self) -> str:
-        """Return what the figure of a setting with all its runs is made of, as part of a sentence."""
+        """Return the make-up of the figure of a setting with all its runs, as part of a sentence."""
         return averaged_text(self.search, self.block, len(self.contexts))
 
     def as_json(self) -> dict[str, Any]:
@@ -224,7 +224,7 @@ class SearchStory:
 
 
 def averaged_text(search: Search, block: int, contexts: int) -> str:
-    """Return what the figure of a setting with all its runs is made of, as part of a sentence."""
+    """Return the make-up of the figure of a setting with all its runs, as part of a sentence."""
     each = block // max(contexts, 1)
     runs = "one run" if each == 1 else f"the mean of {each} runs"
     if contexts <= 1:
@@ -378,7 +378,7 @@ class _EndedRuns:
 
     @property
     def computed(self) -> int:
-        """Return how many took no result of another run."""
+        """Return the number of runs that took no result of another one."""
         return len(self.seen) - len(self.taken)
 
 
@@ -420,7 +420,7 @@ def figures_of(search: Search, score: Score | None) -> tuple[float | None, ...]:
 
 
 def _history(standings: Sequence[TrialStanding], trials: Sequence[TriedSetting]) -> list[SearchStep]:
-    """Return what the best was, each time it changed, as settings got the last of their runs."""
+    """Return the best settings, each time they changed, as settings got the last of their runs."""
     scored = [
         (trials[one.number].at, one.number, one.score)
         for one in standings
@@ -441,7 +441,7 @@ def _history(standings: Sequence[TrialStanding], trials: Sequence[TriedSetting])
 
 
 def _influences(plan: SearchPlan, trials: Sequence[TriedSetting]) -> tuple[tuple[AxisInfluence, ...], int]:
-    """Return how much of the order of settings each axis explains, the strongest first, and of how many.
+    """Return the shares of settings' order that axes explain, largest first, and the number of settings.
 
     Compared is what all settings have: their figures after the first step, on the same runs. They are put in
     order, failed ones last, as errors of failed runs are worse than any and have no size; the share is ε²
@@ -481,7 +481,7 @@ def _groups(values: Sequence[Any], *, is_range: bool) -> Any:
 
 
 def _to_come(plan: SearchPlan, decision: SearchDecision, trials: Sequence[TriedSetting]) -> tuple[int, int]:
-    """Return how many runs may yet come at most, and how many are to be expected."""
+    """Return the number of runs that may yet come at most, and the number to be expected."""
     if decision.is_over:
         return 0, 0
     block = plan.space.block
@@ -499,7 +499,7 @@ def _to_come(plan: SearchPlan, decision: SearchDecision, trials: Sequence[TriedS
 
 
 def _seconds(moments: Sequence[float], expected: int) -> float | None:
-    """Return how long runs take, by the time between ends so far; a pause counts as one."""
+    """Return the seconds that the expected runs take, by gaps between ends so far, long pauses cut short."""
     gaps = np.diff(np.array(moments))
     if not expected or len(gaps) < LEAST_TRIALS // 2:
         return None

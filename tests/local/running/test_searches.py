@@ -55,12 +55,12 @@ def tried(archive: Archive, sweep: Sweep) -> list[int]:
 
 
 def score(number: int) -> int:
-    """Return what the actor says."""
+    """Return the score that the actor gives a number."""
     return (number - 7) ** 2
 
 
 def undisturbed(sweep: Sweep, workshop: Workshop) -> tuple[list[int], list[TrialStanding]]:
-    """Return what a search tries, and its best, by what the actor says of each run."""
+    """Return the numbers that a search tries, and its best, by the score that the actor gives each run."""
     search = SearchUnderWay(plan_of(sweep, workshop), "", str)
     with Sampler() as sampler:
         while not search.decision.is_over:

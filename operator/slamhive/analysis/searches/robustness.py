@@ -183,7 +183,7 @@ def _apart_from(frame: Frame, axis: str, axes: Sequence[str], wish: RobustnessWi
 
 
 def _series(part: Frame, axis: str, searches: Sequence[Search]) -> list[tuple[dict[str, Any], Any]]:
-    """Return what was run, and the places of its runs, for all values of an axis together."""
+    """Return the subjects that were run, and the places of their runs, for all values of an axis together."""
     names = [name for name in SUBJECT if name == "algorithm" or varies(part, name)]
     # An attribute follows from its dataset, a seed and what was gone across make repetitions.
     repeated = {name for search in searches for name in search.across or ()}
@@ -261,7 +261,7 @@ def _rule_text(rule: Failing) -> str:
 
 
 def searches_of(specs: Mapping[str, Mapping[str, Any]]) -> dict[str, Search]:
-    """Return what Sweeps sought, by name: of those that sought thresholds.
+    """Return the searches of Sweeps that sought thresholds, by name.
 
     Args:
         specs: specs of Sweeps by name, as they are archived.

@@ -84,18 +84,18 @@ class Threshold:
         return sum(one.known for one in self.tallies)
 
     def counted(self, value: float | None) -> str:
-        """Return how many of the runs at a value failed, as ``1/5``."""
+        """Return the number of failed runs at a value, and of all known there, as ``1/5``."""
         found = [one for one in self.tallies if one.value == value]
         return f"{found[0].failed}/{found[0].known}" if found else ""
 
     @property
     def counts(self) -> str:
-        """Return how many runs failed at each value, as ``0.1: 0/3, 0.2: 2/3``."""
+        """Return the number of failed runs at each value, as ``0.1: 0/3, 0.2: 2/3``."""
         return ", ".join(f"{one.value:g}: {one.failed}/{one.known}" for one in self.tallies)
 
     @property
     def sentence(self) -> str:
-        """Return what is known of it as a sentence."""
+        """Return all that is known of it as a sentence."""
         tried = f"{self.tallies[0].value:g} to {self.tallies[-1].value:g}" if self.tallies else ""
         match self.status:
             case ThresholdStatus.NEVER:
@@ -167,7 +167,7 @@ def estimate(axis: str, series: Mapping[str, Any], found: Sequence[ValueTally], 
 
 
 def _split(ordered: Sequence[ValueTally], quantile: float) -> tuple[float, int, int]:
-    """Return how much contradicts the best split, and the place of the first value that fails."""
+    """Return the best split's cost, the count of values against it, and the place of the first that fails."""
     excess = [one.failed - quantile * one.known or _NEARLY for one in ordered]
     fails = [one.share >= quantile for one in ordered]
     best: tuple[float, int, int] | None = None

@@ -124,7 +124,7 @@ def _of_sweep(body: Object) -> list[tuple[str, str]]:
 
 
 def _settings(search: Object) -> str:
-    """Return how many settings a search has tried, and the best one; empty where it is none."""
+    """Return the number of settings that a search has tried, and the best one; empty where it is none."""
     if not search:
         return ""
     parts = [f"{search.get('asked', 0):,} of {search.get('most', 0):,} tried"]

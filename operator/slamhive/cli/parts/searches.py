@@ -13,7 +13,7 @@ from slamhive.engine import TrialStanding, decide_search
 from slamhive.local.home.folder import Home
 from slamhive.local.running.runner import Job
 from slamhive.model.errors import InputError
-from slamhive.model.search import Aggregate, Goal, Trial
+from slamhive.model.search import Goal, SettingAggregate, Trial
 from slamhive.plan import SearchPlan, local_uid
 from slamhive.tables.reading import read_archive
 from slamhive.tables.text import number_text, short_name
@@ -65,7 +65,7 @@ def fewest_runs(plan: SearchPlan) -> int | None:
 
 
 def extent_text(plan: Plan) -> str:
-    """Return how many runs there are, of a search how much it may try and run."""
+    """Return the number of runs; of a search, how much it may try and run."""
     if not isinstance(plan, SearchPlan):
         return plural(len(plan), "run")
     space, search = plan.space, plan.sweep.spec.search
@@ -89,7 +89,7 @@ def objective_faults(sweep: Sweep) -> list[str]:
 
 
 def progress_text(search: SearchUnderWay) -> str:
-    """Return how far a search is, and what is best so far."""
+    """Return the progress of a search, and the best setting so far."""
     tried, most = len(search.plan.trials), search.plan.most_trials
     what = "trial" if search.search.method.is_sampled else "value"
     of = f"of {most:,}" if search.search.method.is_sampled else f"of at most {most:,}"
@@ -107,7 +107,7 @@ def setting_text(search: SearchUnderWay, standing: TrialStanding) -> str:
 
 
 def end_lines(search: SearchUnderWay) -> list[str]:
-    """Return what came of a search so far."""
+    """Return the lines on the results of a search so far."""
     decision, plan = search.decision, search.plan
     lines = [
         f"Best:       {setting_text(search, one)} ({_runs_of(search, one)})"
@@ -130,7 +130,7 @@ def end_lines(search: SearchUnderWay) -> list[str]:
 
 
 def search_values(search: SearchUnderWay) -> dict[str, Any]:
-    """Return how far a search is, for a line of JSON."""
+    """Return the progress of a search, for a line of JSON."""
     return {
         "trials": len(search.plan.trials),
         "mostTrials": search.plan.most_trials,
@@ -173,10 +173,10 @@ def _figure(name: str, value: float) -> str:
 
 
 def _runs_of(search: SearchUnderWay, standing: TrialStanding) -> str:
-    """Return what the figures of a setting are the mean of."""
+    """Return the runs that the figures of a setting are the mean of, in words."""
     failed = round(standing.score.failed * standing.runs) if standing.score is not None else 0
     some = f", {failed} of them failed" if failed else ""
-    is_worst = search.search.aggregate is Aggregate.WORST
+    is_worst = search.search.aggregate is SettingAggregate.WORST
     mean = "mean of the worst dataset, of" if is_worst else "mean of"
     return f"{mean} {plural(standing.runs, 'run')}{some}"
 

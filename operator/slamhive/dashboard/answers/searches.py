@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SearchMaterial:
-    """What the archive knows of sweeps, and of what they named.
+    """Knowledge of the archive about sweeps, and about the objects that they named.
 
     Attributes:
         sweeps: the sweeps that were asked for.
@@ -80,7 +80,7 @@ def search(snapshot: Snapshot, known: SearchMaterial, name: str, namespace: str 
 def _live_record(
     address: tuple[str, str], live: Mapping[str, Any], stored: SweepRecord | None
 ) -> SweepRecord:
-    """Return what a cluster's Sweep says now, or what was stored of it where that is all that is left."""
+    """Return the record of a cluster's Sweep as it is now, or as stored where that is all that is left."""
     told = live.get("search") or {}
     try:
         now = SearchRecord(trials=told.get("trials") or [], spared=told.get("spared") or 0)

@@ -138,7 +138,7 @@ class Service:
         return StoredSweeps(records, await self._totals.of(records))
 
     async def threshold_searches(self, _: Snapshot) -> dict[str, Search]:
-        """Return what the sweeps that sought thresholds sought, by name."""
+        """Return the searches of the sweeps that sought thresholds, by name."""
         return searches_of({sweep.name: sweep.spec for sweep in await self.run(self.source.sweeps)})
 
     async def run(self, compute: Callable[[], T]) -> T:

@@ -26,7 +26,7 @@ _Connection = TypeVar("_Connection")
 
 
 def added_delay(scan: Scan, kept: Mask, late: float, share: float, drawn: np.random.Generator) -> Times:
-    """Return what is added to the times of recording of a topic's messages, ns, shape (n,).
+    """Return the delays added to the times of recording of a topic's messages, ns, shape (n,).
 
     The second and third message kept may change places, the fourth and fifth, and so on; the first, which
     others are counted from, stays first.

@@ -177,7 +177,7 @@ class Shutter:
         return pixels
 
     def _table(self, brighter: bool, kind: np.dtype[Any]) -> Pixels:
-        """Return what becomes of each brightness."""
+        """Return the brightness that each brightness becomes."""
         if brighter not in self._tables:
             one, most = self._wanted, int(np.iinfo(kind).max)
             shares = np.arange(most + 1) / most * (2.0 ** (one.exposure_step or 0.0) if brighter else 1.0)

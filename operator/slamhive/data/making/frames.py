@@ -197,7 +197,7 @@ def take_frames(  # noqa: PLR0917 - progress comes last everywhere
 
 
 def _frame(message: Any, where: str) -> Array:
-    """Return what a file holds of a message: pixels with blue first, or points."""
+    """Return the array that a file holds of a message: pixels with blue first, or points."""
     if hasattr(message, "encoding"):
         pixels = image_pixels(message, where)
         swap = message.encoding in _RED_FIRST
@@ -228,7 +228,7 @@ class _TakenFrame:
 def _taken(
     shown: Mapping[Role, ShownFrames], gives: Mapping[Role, GivenSensor], folder: Path
 ) -> dict[Role, _TakenFrame]:
-    """Return what a program wrote by role, each whole.
+    """Return the frames that a program wrote by role, each whole.
 
     Raises:
         DataError: Something is missing, or is there that isn't asked for.

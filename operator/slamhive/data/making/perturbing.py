@@ -231,7 +231,7 @@ class _Perturber:
         return [*changes, lambda k, raw: restamped(bytes(raw), int(stamps[k]), is_ros2=is_ros2)]
 
     def _later_deliveries(self) -> dict[str, Times]:
-        """Return what is added to the times of recording of the topics that are late, ns, shape (n,)."""
+        """Return the delays added to the times of recording of the topics that are late, ns, shape (n,)."""
         found: dict[str, Times] = {}
         for stream in self._selection.streams:
             scan, kept = self._selection.scans[stream.topic], self._selection.masks[stream.topic]
@@ -355,6 +355,6 @@ def _all_of(changes: list[MessageChange], index: int, raw: bytes) -> Raw:
 
 
 def _following(scan: Scan, images: Times, added: Times) -> Times:
-    """Return what is added to times of camera_info: as to the images of the same stamp; to others nothing."""
+    """Return the shifts of times of camera_info: those of the images of the same stamp; of others zero."""
     known = dict(zip(images.tolist(), added.tolist(), strict=True))
     return np.array([known.get(stamp, 0) for stamp in scan.stamps.tolist()], dtype=np.int64)

@@ -45,11 +45,11 @@ class FrameMaker(Protocol):
 
     @property
     def program(self) -> PreparingProgram:
-        """Return what the Dataset says of it."""
+        """Return the Dataset's description of it."""
 
     @property
     def digest(self) -> str:
-        """Return what tells it from others."""
+        """Return the digest that tells it from others."""
 
     def work(self, key: str) -> Path:
         """Return an empty folder, in which what it is given is laid as ``in``."""
@@ -75,7 +75,7 @@ class FrameMaker(Protocol):
 
 @dataclass(frozen=True)
 class _WantedVariant:
-    """What a run asks for, in two parts: what the program is given, and what is prepared of its frames."""
+    """Input that a run asks for, in two parts: that given to the program, and that prepared of its frames."""
 
     recorded: tuple[Role, ...]
     before: InputOptions
@@ -250,7 +250,7 @@ def _is_sound(folder: Path) -> bool:
 
 
 def _made(entry: DatasetEntry, folder: Path) -> tuple[DatasetEntry, dict[str, str]]:
-    """Return what a program made as a dataset of its own, and the names of its sensors by role."""
+    """Return the data that a program made as a dataset of its own, and the names of its sensors by role."""
     known = json.loads((folder / _DESCRIPTION).read_text(encoding="utf-8"))
     views = {role: SensorView.model_validate(view) for role, view in known["sensors"].items()}
     sensors: dict[str, Any] = {view.name: view.as_json() for view in views.values()}

@@ -44,13 +44,13 @@ class Walkers:
     rate: Array
 
     def places(self, t: Array) -> Array:
-        """Give where they are, `(k, 2, n)`, at `(n,)` instants, s since the start of the recording."""
+        """Return their places, `(k, 2, n)`, at `(n,)` instants, s since the start of the recording."""
         angle = self.phase[:, None] + self.rate[:, None] * t
         x = self.axes[:, :1] * np.cos(angle)
         return np.stack([x, self.axes[:, 1:] * np.sin(angle) + self.lane[:, None]], axis=1)
 
     def moved(self, t: Array) -> Array:
-        """Give how far they are from where they started, `(k, 3, n)`, m."""
+        """Return their displacements from where they started, `(k, 3, n)`, m."""
         way = self.places(t) - self.places(np.zeros(1))
         return np.concatenate([way, np.zeros((len(way), 1, way.shape[2]))], axis=1)
 

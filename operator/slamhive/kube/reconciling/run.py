@@ -400,7 +400,7 @@ def _insist_on_effects(spec: dict[str, Any], algorithm: Algorithm, dataset: Data
 
 
 def _lacks_image(facts: RunFacts) -> tuple[Reason, str] | None:
-    """Return what a run is refused for where a program of it has no image; None where all have one."""
+    """Return the reason to refuse a run where a program of it has no image; None where all have one."""
     if not facts.algorithm.spec.image:
         message = f"Algorithm {facts.algorithm.name!r} names no image, which a cluster needs"
         return Reason.ALGORITHM_UNAVAILABLE, message

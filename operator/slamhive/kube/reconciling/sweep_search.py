@@ -55,7 +55,7 @@ _LARGEST = Trial(values=[], told=9_999)
 
 
 class Proposer(Protocol):
-    """What proposes settings."""
+    """Sampler that proposes settings."""
 
     def propose(
         self,
@@ -97,7 +97,7 @@ class SearchMemory:
 
     @property
     def decision(self) -> SearchDecision:
-        """Return what is to be done now; it takes a moment where something has changed."""
+        """Return the decision on the next steps; it takes a moment where something has changed."""
         mark = (self._news, len(self.plan.trials), self.is_exhausted)
         if self._decided is None or self._decided[0] != mark:
             found = decide(self.search, self.plan, self.seen)
@@ -201,7 +201,7 @@ class SearchMemory:
 
 
 class Asker:
-    """Who asks for the settings that are tried next, of one search at a time.
+    """Asker for the settings that are tried next, of one search at a time.
 
     Args:
         sampler: proposes settings.

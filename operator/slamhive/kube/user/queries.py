@@ -219,7 +219,7 @@ def status_of(body: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def extent(found: Mapping[str, Any]) -> tuple[int, int]:
-    """Return how many runs of a Sweep there are and how many are done; of a search its settings.
+    """Return the numbers of runs of a Sweep, all and those done; of a search those of its settings.
 
     Args:
         found: its status.

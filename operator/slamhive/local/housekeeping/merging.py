@@ -234,7 +234,7 @@ def merge(
 
 
 def _further(here: SearchRecord, *, there: SearchRecord) -> SearchRecord:
-    """Return what a search tried: as it is here, unless it went on from there in the other home."""
+    """Return the record of a search: the one here, unless it went on from there in the other home."""
     goes_on = there.trials[: len(here.trials)] == here.trials
     return there if goes_on else here
 

@@ -104,7 +104,7 @@ class Preparer:
 
     @property
     def called(self) -> str:
-        """Return what it is called in sentences."""
+        """Return the name for it in sentences."""
         return program_title(self.name, self.dataset)
 
     def work(self, key: str) -> Path:

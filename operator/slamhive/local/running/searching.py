@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class Proposing(Protocol):
-    """What proposes settings."""
+    """Sampler that proposes settings."""
 
     def propose(
         self,
@@ -71,7 +71,7 @@ class SearchUnderWay:
 
     @property
     def decision(self) -> SearchDecision:
-        """Return what is to be done now; it takes a moment where something has changed."""
+        """Return the decision on the next steps; it takes a moment where something has changed."""
         mark = (len(self.seen), len(self.plan.trials), self._is_exhausted)
         if self._decided is None or self._decided[0] != mark:
             found, trials = decide(self.search, self.plan, self.seen), self.plan.trials
