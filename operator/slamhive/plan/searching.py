@@ -457,6 +457,7 @@ class SearchPlan(Plan):
     Attributes:
         space: what can be tried.
         trials: what was tried, by number.
+        is_exhausted: whether the sampler found nothing that is left to try.
 
     Raises:
         InputError: the Sweep is wrong, or a trial doesn't fit it.
@@ -473,6 +474,7 @@ class SearchPlan(Plan):
         findings: Findings | None = None,
     ) -> None:
         self.trials: list[Trial] = []
+        self.is_exhausted = False
         super().__init__(sweep, catalog, strict=strict, uid=uid, findings=findings)
         self.repetitions = self.space.repetitions
         most = self.most_trials
@@ -495,6 +497,8 @@ class SearchPlan(Plan):
     @property
     def most_trials(self) -> int:
         """Return the number of trials at most: as many as asked for, or as there are settings."""
+        if self.is_exhausted:
+            return len(self.trials)
         if self.space.is_threshold:
             return len(self.space.series) * self.space.values_at_most
         asked = self.sweep.spec.search.trials or min(MAX_TRIALS, MAX_POINTS // self.space.block)

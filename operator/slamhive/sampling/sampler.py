@@ -13,7 +13,7 @@ import subprocess
 import sys
 from collections import deque
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
 
@@ -50,6 +50,20 @@ def require_sampler(method: SearchMethod) -> None:
     for package in _NEEDS.get(method, ()):
         if importlib.util.find_spec(package) is None:
             raise without(f"spec.search.method: {method}", package, "search")
+
+
+class Proposer(Protocol):
+    """Proposer of settings, as drivers of searches see it."""
+
+    def propose(
+        self,
+        search: Search,
+        space: SearchSpace,
+        trials: Sequence[Trial],
+        standings: Sequence[TrialStanding],
+        told: int,
+    ) -> Trial | None:
+        """Return the next setting to try; None where all have been tried."""
 
 
 class Sampler:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from testcluster.kwok import Pool
 
     from slamhive.archive import Archive
-    from slamhive.kube.reconciling.sweep_search import Proposer
+    from slamhive.sampling import Proposer
 
 SECONDS = 120.0
 API_VERSION = "slamhive.io/v1alpha1"

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from slamhive.archive import Archive
     from slamhive.kube.cluster import Cluster
     from slamhive.kube.loop import Reconcile
-    from slamhive.kube.reconciling.sweep_search import Proposer
+    from slamhive.sampling import Proposer
 
 __all__ = ["reconcilers"]
 

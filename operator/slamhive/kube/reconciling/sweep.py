@@ -66,8 +66,9 @@ if TYPE_CHECKING:
     from slamhive.archive import Archive
     from slamhive.kube.cluster import Cluster
     from slamhive.kube.reconciling.catalogue import Catalogue
-    from slamhive.kube.reconciling.sweep_search import Proposer, SearchMemory
+    from slamhive.kube.reconciling.sweep_search import SearchMemory
     from slamhive.model.search import Trial
+    from slamhive.sampling import Proposer
 
 
 _LOOK_SECONDS = 0.1

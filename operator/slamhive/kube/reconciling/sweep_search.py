@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import json
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
@@ -24,7 +24,6 @@ from slamhive.engine import (
     asked_next,
     best_of,
     decide,
-    decide_search,
 )
 from slamhive.kube.api.encoding import encode
 from slamhive.kube.records import record_of
@@ -41,31 +40,18 @@ from slamhive.model.status import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping
 
     from slamhive.kube.api.kinds import Object
     from slamhive.kube.reconciling.sweep_runs import Finished, SweepTally
     from slamhive.model.results import RunRecord
     from slamhive.model.search import Search
-    from slamhive.plan import SearchPlan, SearchSpace
+    from slamhive.plan import SearchPlan
+    from slamhive.sampling import Proposer
 
 _ASKED_AT_ONCE = 16
 _LONGEST_FLOAT = -2.2250738585072014e-308
 _LARGEST = Trial(values=[], told=9_999)
-
-
-class Proposer(Protocol):
-    """Sampler that proposes settings."""
-
-    def propose(
-        self,
-        search: Search,
-        space: SearchSpace,
-        trials: Sequence[Trial],
-        standings: Sequence[TrialStanding],
-        told: int,
-    ) -> Trial | None:
-        """Return the next setting to try; None where all have been tried."""
 
 
 @dataclass
@@ -76,7 +62,6 @@ class SearchMemory:
         plan: the runs of its trials so far.
         fields: its trials as the status holds them.
         seen: its runs that have ended, by index.
-        is_exhausted: whether nothing is left that could be tried.
         copied: how many trials, and how many spared runs, the archive knows of.
         problem: why what became of its runs can't be read; None where it can.
     """
@@ -84,7 +69,6 @@ class SearchMemory:
     plan: SearchPlan
     fields: list[Object] = field(default_factory=list)
     seen: dict[int, RunSeen] = field(default_factory=dict)
-    is_exhausted: bool = False
     copied: tuple[int, int] | None = None
     problem: str | None = None
     _news: int = 0
@@ -98,13 +82,9 @@ class SearchMemory:
     @property
     def decision(self) -> SearchDecision:
         """Return the decision on the next steps; it takes a moment where something has changed."""
-        mark = (self._news, len(self.plan.trials), self.is_exhausted)
+        mark = (self._news, len(self.plan.trials), self.plan.is_exhausted)
         if self._decided is None or self._decided[0] != mark:
-            found = decide(self.search, self.plan, self.seen)
-            if self.is_exhausted and found.told is not None:
-                trials = self.plan.trials
-                found = decide_search(self.search, self.plan.space, trials, self.seen, len(trials))
-            self._decided = mark, found
+            self._decided = mark, decide(self.search, self.plan, self.seen)
         return self._decided[1]
 
     def draw(self, trial: Trial, states: bytearray) -> None:
@@ -230,7 +210,7 @@ class Asker:
                     self._sampler.propose, *(memory.search, plan.space, trials, standings, told)
                 )
             if trial is None:
-                memory.is_exhausted = True
+                plan.is_exhausted = True
                 break
             found.append(_plain(trial))
             trials.append(found[-1])

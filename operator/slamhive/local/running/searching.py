@@ -7,11 +7,11 @@ whoever runs it at the same time, reads it there and asks for none of it anew.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from slamhive.analysis.searches.seen import runs_seen
 from slamhive.archive.known import known_trials
-from slamhive.engine import PointState, RunSeen, SearchDecision, best_of, decide, decide_search
+from slamhive.engine import PointState, RunSeen, SearchDecision, best_of, decide
 from slamhive.model.canonical import normalize
 from slamhive.model.errors import InputError
 from slamhive.model.search import SearchRecord, Trial
@@ -23,21 +23,8 @@ if TYPE_CHECKING:
     from slamhive.engine import TrialStanding
     from slamhive.local.running.execution import PlannedPoint
     from slamhive.model.search import Search
-    from slamhive.plan import SearchPlan, SearchSpace
-
-
-class Proposing(Protocol):
-    """Sampler that proposes settings."""
-
-    def propose(
-        self,
-        search: Search,
-        space: SearchSpace,
-        trials: Sequence[Trial],
-        standings: Sequence[TrialStanding],
-        told: int,
-    ) -> Trial | None:
-        """Return the next setting to try; None where all have been tried."""
+    from slamhive.plan import SearchPlan
+    from slamhive.sampling import Proposer
 
 
 class SearchUnderWay:
@@ -60,7 +47,6 @@ class SearchUnderWay:
         self.spared: set[int] = set()
         self._uid = uid
         self._run_uid = run_uid
-        self._is_exhausted = False
         self._best: tuple[SearchDecision, list[TrialStanding]] | None = None
         self._decided: tuple[tuple[int, int, bool], SearchDecision] | None = None
 
@@ -72,12 +58,9 @@ class SearchUnderWay:
     @property
     def decision(self) -> SearchDecision:
         """Return the decision on the next steps; it takes a moment where something has changed."""
-        mark = (len(self.seen), len(self.plan.trials), self._is_exhausted)
+        mark = (len(self.seen), len(self.plan.trials), self.plan.is_exhausted)
         if self._decided is None or self._decided[0] != mark:
-            found, trials = decide(self.search, self.plan, self.seen), self.plan.trials
-            if self._is_exhausted and found.told is not None:
-                found = decide_search(self.search, self.plan.space, trials, self.seen, len(trials))
-            self._decided = mark, found
+            self._decided = mark, decide(self.search, self.plan, self.seen)
         return self._decided[1]
 
     @property
@@ -106,7 +89,7 @@ class SearchUnderWay:
         standings = self.decision.standings
         decided = [one.runs for one in standings if one.is_decided]
         left = self.plan.most_trials - len(self.plan.trials)
-        if not decided or self._is_exhausted or not self.search.method.is_sampled:
+        if not decided or self.plan.is_exhausted or not self.search.method.is_sampled:
             return 0.0
         return left * sum(decided) / len(decided)
 
@@ -134,7 +117,7 @@ class SearchUnderWay:
             self._write(archive, known_trials(self.plan, archive, content))
 
     def advance(
-        self, archive: Archive, states: bytearray, sampler: Proposing, goes_on: Callable[[], bool]
+        self, archive: Archive, states: bytearray, sampler: Proposer, goes_on: Callable[[], bool]
     ) -> None:
         """Take note of the runs that have ended, and draw what is to be tried by their results.
 
@@ -156,7 +139,7 @@ class SearchUnderWay:
                 asked = (plan.trials, decision.standings, decision.told)
                 trial = sampler.propose(self.search, plan.space, *asked)
                 if trial is None:
-                    self._is_exhausted = True
+                    plan.is_exhausted = True
                     continue
                 news = [trial]
             if not news:
