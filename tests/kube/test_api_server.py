@@ -50,7 +50,16 @@ DEFAULTS: Object = {
     "include": [],
     "repetitions": 1,
     "retention": {"files": "Keep", "runs": 1000},
-    "search": {"method": "Grid"},
+    "search": {
+        "aggregate": "Mean",
+        "atATime": 4,
+        "failing": {"quantile": 0.5},
+        "keep": 4,
+        "method": "Grid",
+        "objectives": [],
+        "repetitions": {"first": 1, "promote": 1},
+        "seed": 0,
+    },
     "suspend": False,
 }
 SECONDS = 60.0

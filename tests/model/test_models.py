@@ -87,7 +87,7 @@ FILES: dict[str, Any] = {"files": [{"path": "a.bag"}]}
         (Sensor, LIDAR | {"T_body_sensor": [[1, 0, 0, 0]] * 4}, "last row must be 0 0 0 1"),
         (RunSelector, {}, "name runs by"),
         (Range, {"from": 1, "to": 2, "step": 1, "count": 2}, "either step or count"),
-        (Range, {"from": 0, "to": 2, "count": 3, "scale": "Log"}, "Log needs count"),
+        (Range, {"from": 0, "to": 2, "count": 3, "scale": "Log"}, "Log needs ends above zero"),
         (Range, {"from": 3, "to": 2, "step": 1}, "to must not be below from"),
         (Axis, {"path": "seed"}, "give one of values"),
         (

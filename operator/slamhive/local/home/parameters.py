@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
+from slamhive.local.home.catalog import bundled
 from slamhive.model.errors import InputError
 from slamhive.model.loading import read_text
 from slamhive.model.templates import read_template
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
 
 _WHOLE = re.compile(r"""parameters["']?\]?\)?\s*\.\s*(items|values|keys)\b|\*\*[\w.\[\]"'()]*parameters""")
 _FILES, _BYTES = 1000, 4 << 20
+_SHARED = re.compile(r"^from (adapter_\w+) import", re.MULTILINE)
+_ASKS = "run.parameter("
 
 
 class Uses(NamedTuple):
@@ -51,7 +54,7 @@ def parameter_uses(entry: AlgorithmEntry) -> Uses:
 
 
 def _programs(entry: AlgorithmEntry) -> list[str]:
-    """Return the text of the Python programs in an algorithm's folder."""
+    """Return the text of the programs in an algorithm's folder, and of shared ones that ask for some."""
     local = entry.algorithm.spec.local
     paths = [] if local is None or local.command else [entry.folder / local.adapter]
     paths += sorted(entry.folder.rglob("*.py"))[:_FILES]
@@ -62,4 +65,7 @@ def _programs(entry: AlgorithmEntry) -> list[str]:
                 texts.append(read_text(path))
             except InputError:  # no text in UTF-8: no program of ours
                 continue
-    return texts
+    shared = dict.fromkeys(name for text in texts for name in _SHARED.findall(text))
+    helpers = [bundled("algorithms") / f"{name}.py" for name in shared]
+    # Most of them know no algorithm's parameters, and their words are anybody's.
+    return texts + [text for path in helpers if path.is_file() and _ASKS in (text := read_text(path))]
