@@ -13,12 +13,14 @@ WORKERS ?= 4
 # Which tests; all when empty.
 TESTS ?=
 THE_REST := cluster or container or helm or image or ros or slow
+# Those that several tests run: built before them, as a test's own time is bounded.
+TEST_IMAGES := slamhive evaluator kiss-icp genz-icp shell-algorithm ros1-player kiss-icp-ros ros2-player kiss-icp-ros2
 pytest = $(BIN)/python -m pytest -n $(WORKERS) $(1) $(TESTS)
 # Otherwise pytest would compile all tests anew in each worker, each time.
 unexport PYTHONDONTWRITEBYTECODE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test test-cluster test-all test-packages pins cluster-build cluster-up cluster-down images dist docs lint bench bench-scale fuzz fuzz-api fuzz-cluster coverage honest doctor audit install demo-environment crds clean help
+.PHONY: demo test test-cluster test-all test-packages test-images pins cluster-build cluster-up cluster-down images dist docs lint bench bench-scale fuzz fuzz-api fuzz-cluster coverage honest doctor audit install demo-environment crds clean help
 
 help:
 	@echo 'make demo    compare real algorithms on a generated recording'
@@ -61,16 +63,21 @@ demo: demo-environment
 test: install
 	$(call pytest,-m 'not ($(THE_REST))')
 
-test-cluster: install test-packages cluster-build
+test-cluster: install test-packages cluster-build test-images
 	$(call pytest,-m '$(THE_REST)')
 
 # Both at once: what waits for a cluster goes beside what computes.
-test-all: install test-packages cluster-build
+test-all: install test-packages cluster-build test-images
 	$(call pytest)
 
 # What the test cluster is made of; without root, Go or Debian its tests are skipped and say how to have them.
 cluster-build:
 	@$(PYTHON) tests/cluster/cluster.py prepare
+# What containers of tests run; what is up to date is not built again. Without root or buildah their tests are
+# skipped and say why, as they do for an image that can't be built.
+test-images: install
+	@[ "$$(id -u)" != 0 ] || ! command -v buildah >/dev/null || \
+	  $(BIN)/python images/build --tool buildah $(TEST_IMAGES) || true
 cluster-up:
 	@$(PYTHON) tests/cluster/cluster.py up
 cluster-down:

@@ -129,7 +129,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 item.add_marker(marker)
         names = {marker.name for marker in item.iter_markers()}
         if "timeout" not in names and (INSTALLING & fixtures or LONG & names):
-            item.add_marker(pytest.mark.timeout(900))
+            item.add_marker(pytest.mark.timeout(1800))
         files[item.nodeid.partition("::")[0]].append(item)
     seed = config.option.order_seed
     names = sorted(files)
@@ -332,7 +332,7 @@ def podman() -> Engine:
         pytest.skip(f"{error} (make test-packages)")
     # What is up to date is not built again.
     build = [TESTS.parent / "images" / "build", "--tool", "buildah", *CONTAINER_IMAGES]
-    built = subprocess.run(build, capture_output=True, text=True, check=False, timeout=800)
+    built = subprocess.run(build, capture_output=True, text=True, check=False, timeout=1500)
     if built.returncode:
         pytest.skip(f"the images can't be built: {built.stderr.strip()[-500:]}")
     return found
