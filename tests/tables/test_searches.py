@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import re
+import shutil
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -14,7 +15,7 @@ from searched import ERROR, fill_search, searched, sweep_of
 from slamhive.analysis.grouping import aggregate, without_chosen
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.searches.seen import records_frame
-from slamhive.archive import Archive
+from slamhive.archive import Archive, CatalogEntry
 from slamhive.cli.main import main
 from slamhive.figures.asking import FigureKind, Wish
 from slamhive.figures.searches import search
@@ -144,6 +145,22 @@ def test_the_yaml_of_the_best_is_the_run_that_was_made(
     again = Plan(Sweep.model_validate(yaml.safe_load(out)), FixedCatalog(), strict=False)
     first = story.best[0] * story.block
     assert {one.spec_hash for one in again} == {plan.point(first + at).spec_hash for at in range(story.block)}
+
+
+def test_the_yaml_of_the_best_brings_a_generated_dataset_that_came_with_the_sweep(
+    home: Path, told: Any, monkeypatch: Any, capsys: Any, tmp_path: Path
+) -> None:
+    told("tune")
+    made = {"recording": {"synthetic": {"seed": 3, "sensors": ["Lidar"], "durationSeconds": 20}}}
+    copied = tmp_path / "home"
+    shutil.copytree(home, copied)
+    with Archive.open(f"sqlite:///{copied / 'archive.sqlite'}") as archive:
+        archive.put_catalog(CatalogEntry(kind="Dataset", name="hall", spec=made))
+    code, out, err = run(capsys, copied, monkeypatch, "search", "best", "tune", "--sweep")
+    hall, again = yaml.safe_load_all(out)
+    assert (code, hall["metadata"]["name"], hall["spec"]) == (0, "hall", made)
+    assert again["kind"] == "Sweep"
+    assert "dataset yard: it lies beside its manifest" in err
 
 
 def _record(home: Path, name: str) -> Any:

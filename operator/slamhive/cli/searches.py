@@ -13,12 +13,13 @@ from slamhive.cli.parts.asking import require_archive
 from slamhive.cli.parts.console import out, plural, remark
 from slamhive.cli.parts.tables import show, write_json
 from slamhive.cli.parts.waiting import time_text
+from slamhive.local.home.catalog import load_workshop
 from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError
 from slamhive.model.search import Goal, SearchMethod
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator
 
     from slamhive.analysis.frame import Frame
     from slamhive.archive import Archive, SweepRecord
@@ -69,7 +70,7 @@ def best(
         typer.Option(min=1, max=10_000, help="Repetitions of --sweep [as many as good settings got]."),
     ] = None,
 ) -> None:
-    """Print the YAML of the best setting: its first run, or a sweep of it.
+    """Print the YAML of the best setting: its first run, or a sweep of it, and of generated datasets.
 
     Example: slamhive search best tune > best.yaml && slamhive run best.yaml
     """
@@ -87,6 +88,13 @@ def best(
                 f"sweep {record.name}: the first run of setting {trial.number} is not in the archive"
             )
         title = f"{record.name}-best" if number is None else f"{record.name}-{number}"
+        names = (
+            {str(one) for one in frame.column("dataset").tolist()}
+            if sweep
+            else {run.spec["datasetRef"]["name"]}
+        )
+        for text in _datasets(archive, names):
+            sys.stdout.write(f"{text}---\n")
         if not sweep:
             sys.stdout.write(run_manifest(run, title))
         else:
@@ -101,6 +109,20 @@ def best(
                 body["evaluation"] = record.spec["evaluation"]
             sys.stdout.write(manifest("Sweep", title, {}, body))
     remark(_words(story, trial))
+
+
+def _datasets(archive: Archive, names: Collection[str]) -> Iterator[str]:
+    """Yield the manifests of datasets that the catalog here has not, which came in the file of the sweep."""
+    from slamhive.tables.manifests import manifest, without_nothing
+
+    strange = set(names) - set(load_workshop().dataset_places)
+    latest = {entry.name: entry for entry in archive.catalog("Dataset") if entry.name in strange}
+    for name in sorted(strange):
+        recording = latest[name].spec.get("recording") or {} if name in latest else {}
+        if recording.get("synthetic") is None:
+            remark(f"dataset {name}: it lies beside its manifest; give that file to slamhive run, too")
+            continue
+        yield manifest("Dataset", name, latest[name].labels, without_nothing(latest[name].spec))
 
 
 @contextmanager

@@ -30,3 +30,11 @@ def run_manifest(record: RunRecord, name: str | None = None) -> str:
 def spec_again(record: RunRecord) -> dict[str, Any]:
     """Return the fields of a run's spec that say something."""
     return {name: value for name, value in record.spec.items() if value not in (None, {}, [])}
+
+
+def without_nothing(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields without those that are null or empty, at all depths."""
+    found = {
+        name: without_nothing(value) if isinstance(value, dict) else value for name, value in fields.items()
+    }
+    return {name: value for name, value in found.items() if value not in (None, {}, [])}
