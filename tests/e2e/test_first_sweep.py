@@ -116,7 +116,7 @@ def test_prometheus_has_the_live_gauges_of_each_run(first: First, gauge: str) ->
             for time, value in samples
             if begin <= time <= end
         ]
-        assert seen, wanted
+        assert seen, (wanted, begin, end, first.operator)
         if gauge == "slamhive_run_memory_bytes":
             assert 0 < max(seen) < 1.2 * status["usage"]["memory"]["kernelPeakBytes"]
         else:
@@ -143,7 +143,7 @@ def test_histograms_and_counters_remain_and_live_series_do_not(first: First) -> 
             f'slamhive_runs_evaluated_total{{{labels},outcome="Tracked"}}',
         ]
         added = {name: value(first.metrics, name) - value(first.before, name) for name in series}
-        assert added == dict.fromkeys(series, count)
+        assert added == dict.fromkeys(series, count), first.operator
 
 
 def test_no_pod_of_a_finished_run_is_alive(first: First, lab: Any) -> None:

@@ -42,6 +42,7 @@ class First:
         gauges: what Prometheus saw of each live gauge; empty without Prometheus.
         before: the operator's series before the begin.
         metrics: the same after the end.
+        operator: the operator's pods after the end, and why each was started anew.
     """
 
     told: str
@@ -52,6 +53,7 @@ class First:
     gauges: dict[str, list[Series]] = field(default_factory=dict)
     before: str = ""
     metrics: str = ""
+    operator: dict[str, Any] = field(default_factory=dict)
 
 
 def follow(lab: Lab, folder: Path) -> First:
@@ -80,6 +82,7 @@ def follow(lab: Lab, folder: Path) -> First:
             local=rows,
             before=before,
             metrics=metrics(lab),
+            operator=restarts(lab),
         )
         if prometheus is not None:
             found.gauges = {name: prometheus.samples(name) for name in GAUGES}
@@ -99,6 +102,18 @@ def metrics(lab: Lab) -> str:
     """Return the operator's series as it shows them now."""
     service = f"/api/v1/namespaces/{lab.namespace}/services/slamhive-metrics:metrics/proxy/metrics"
     return lab.kubectl("get", "--raw", service)
+
+
+def restarts(lab: Lab) -> dict[str, Any]:
+    """Return how its last container ended, and what events say, of each pod of the operator."""
+    found = {}
+    for pod in lab.get("pods", "-l", "app.kubernetes.io/component=operator")["items"]:
+        name = pod["metadata"]["name"]
+        events = lab.get("events", "--field-selector", f"involvedObject.name={name},type=Warning")["items"]
+        (status,) = pod["status"]["containerStatuses"]
+        told = [f"{event['reason']} x{event.get('count')}: {event['message']}" for event in events]
+        found[name] = [pod["status"].get("startTime"), status["restartCount"], status["lastState"], told]
+    return found
 
 
 def _evaluated(lab: Lab, sweep: str) -> int:
