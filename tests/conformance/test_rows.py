@@ -56,3 +56,11 @@ def test_keyframes_end_where_the_platform_does(poses: Poses, last: float, rest: 
     assert found.answer == answer
     assert ("keyframes" in found.found) is (poses is Poses.KEYFRAMES)
     assert ("framesProcessed" in found.help) is (answer == "fail")
+
+
+@pytest.mark.parametrize(("dropped", "answer"), [(0, "pass"), (19, "pass"), (42, "warning")])
+def test_a_program_that_drops_many_frames_is_in_doubt(dropped: int, answer: str) -> None:
+    counted: Any = SimpleNamespace(
+        record=SimpleNamespace(frames=SimpleNamespace(processed=200 - dropped, dropped=dropped))
+    )
+    assert data(200, 20.0, 20.0, Output(frame="body"), counted).answer == answer

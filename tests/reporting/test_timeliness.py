@@ -50,6 +50,7 @@ def home(records: Any, fill: Callable[[Iterable[Any]], Path]) -> Path:
                 spec=spec,
                 parameters={},
                 metrics=metrics(pace),
+                frames={"offered": 100, "processed": 90, "dropped": 10 if pace == "Realtime" else 0},
                 provenance={"prepared": {"frameRate": 10.0}},
                 results=[records.result(**values)],
             )
@@ -101,6 +102,7 @@ def test_a_list_of_runs_tells_paces_and_late_poses(home: Path, slamhive: Callabl
     assert code == 0, err
     head = next(line for line in text.splitlines() if line.startswith("|"))
     names = ("pace", "ATE, final [m]", "ATE, causal [m]", "poses late by up to [s]", "real-time factor")
+    names += ("frames dropped",)
     assert [name for name in names if name not in head] == []
     assert "poses came up to 31 s late in 2 runs: memory says" in err
 
@@ -111,7 +113,7 @@ def test_who_was_never_played_to_has_no_such_columns(home: Path, slamhive: Calla
         code, text, err = slamhive(home, "results", command, *alone)
         assert code == 0, err
         assert "ATE [m]" in text
-        assert not re.search("causal|latency|real-time|late by|CPU \\[cores\\]|pace", text)
+        assert not re.search("causal|latency|real-time|late by|dropped|CPU \\[cores\\]|pace", text)
 
 
 def test_a_report_ranks_paces_apart_and_says_when_poses_came(

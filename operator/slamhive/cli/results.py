@@ -47,7 +47,7 @@ from slamhive.tables.text import (
     time_text,
     value_text,
 )
-from slamhive.tables.timeliness import FACTOR, LATENCIES, by_clock
+from slamhive.tables.timeliness import DROPPED, FACTOR, LATENCIES, any_dropped, by_clock
 from slamhive.tables.uncollected import uncollected
 from slamhive.tables.words import disproportion_notes, meanings
 from slamhive_eval.formats.csv_writing import csv_blocks, write_csv
@@ -71,14 +71,14 @@ LIST_COLUMNS = (
     *("run", "sweep", "algorithm", "sensors", "dataset", "repetition", "phase", "evaluation", "outcome"),
     *("ate.rmse", f"{CAUSAL}ate.rmse", "rpe[0].rmse", "coverage"),
     *("usage.cpu.secondsPerDataSecond", "usage.cpu.meanCores", "usage.memory.peakBytes"),
-    *(LATE_SECONDS, FACTOR, "finished"),
+    *(LATE_SECONDS, FACTOR, DROPPED, "finished"),
 )
 NEWEST = ("-finished",)
 TABLE_METRICS = (
     *("ate.rmse", f"{CAUSAL}ate.rmse", "rpe[0].rmse"),
     *("relations.translation.mean", "relations.rotationDeg.mean"),
     *("usage.cpu.secondsPerDataSecond", "usage.cpu.meanCores", "usage.memory.peakBytes"),
-    *(*LATENCIES, FACTOR),
+    *(*LATENCIES, FACTOR, DROPPED),
 )
 _WHERE_PLAYED = {f"{CAUSAL}ate.rmse", LATE_SECONDS, FACTOR}
 _SAID_ONCE = ("sweep", "algorithm", "sensors", "dataset", "phase", "evaluation")
@@ -435,7 +435,8 @@ def _usual(frame: Frame) -> list[str]:
 def usual_columns(names: Sequence[str], frame: Frame, *, filled: bool = False) -> list[str]:
     """Return the columns that are shown unless told: mean cores only where the clock alone set the pace.
 
-    What players note of nodes is shown where there is any: causal errors, latency, whether they kept up.
+    What players note of nodes is shown where there is any: causal errors, latency, whether they kept up. So are
+    frames that were dropped, of whatever program.
 
     Args:
         names: what is shown otherwise.
@@ -443,7 +444,10 @@ def usual_columns(names: Sequence[str], frame: Frame, *, filled: bool = False) -
         filled: whether columns without a value are left out.
     """
     timed = by_clock(frame).any()
-    shown = [name for name in names if timed or name != "usage.cpu.meanCores"]
+    hidden = set() if timed else {"usage.cpu.meanCores"}
+    if not any_dropped(frame):
+        hidden.add(DROPPED)
+    shown = [name for name in names if name not in hidden]
     return [name for name in shown if not ((filled or name in _WHERE_PLAYED) and frame.column(name).is_empty)]
 
 

@@ -35,8 +35,9 @@ if TYPE_CHECKING:
 
 _MAX_SHARE = 0.02
 """An ATE above this share of the path says that something is wrong with the frame, the stamp or the scale."""
-_DROPPED = 0.1
-"""A player that drops more than this share of the frames may be why the ATE is large."""
+MANY_DROPPED = 0.1
+"""A program that drops more than this share of the frames doesn't keep up, which may be why the ATE is large."""
+TOO_SLOW = "is the machine busy, or the program too slow? try again when it is quiet"
 _CLEARLY = 0.85
 """A reading of the poses is clearly better than another when its error is below this share of that one's."""
 _SHIFTS_SECONDS = (-0.1, -0.05, 0.05, 0.1)
@@ -107,9 +108,8 @@ class Declared:
 
 def _inaccurate(declared: Declared, told: str) -> Finding:
     count = len(declared.stamps)
-    if declared.dropped > _DROPPED * count:
-        how = "is the machine busy, or the program too slow? try again when it is quiet"
-        return warned("accuracy", f"{told}, with {declared.dropped} of {count} frames dropped", how)
+    if declared.dropped > MANY_DROPPED * count:
+        return warned("accuracy", f"{told}, with {declared.dropped} of {count} frames dropped", TOO_SLOW)
     how = "see whether frame, direction, stamp, scale and units are right: another reading may fit below"
     return failed("accuracy", told, how)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slamhive.conformance.findings import Finding, failed, passed, skipped, warned
+from slamhive.conformance.readings import MANY_DROPPED, TOO_SLOW
 from slamhive.model.algorithm import Poses
 from slamhive.model.results import Phase, Reason
 
@@ -99,6 +100,8 @@ def data(
             return failed("data", f"{told}: {frames - taken} are not accounted for", how)
         if counted.processed < _PROCESSED * frames:
             return warned("data", told, "most frames are left out: is it too slow, or are they refused?")
+        if (counted.dropped or 0) > MANY_DROPPED * frames:
+            return warned("data", told, TOO_SLOW)
         return passed("data", told)
     return _data_by_poses(end, seconds, rest, output, ended.trajectory)
 

@@ -15,7 +15,7 @@ from slamhive.model.results import Outcome
 from slamhive.reporting.markup import Markup, clip, element, joined, parse_metric, shown
 from slamhive.reporting.tables import Sheet, bold, notes_html
 from slamhive.reporting.titles import column_title, keys_text
-from slamhive.tables.timeliness import FACTOR, LATENCIES
+from slamhive.tables.timeliness import DROPPED, FACTOR, LATENCIES, any_dropped
 from slamhive.tables.words import disproportion_notes, meanings
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def _outcomes_sheet(frame: Frame) -> Sheet:
 
 def runs_section(frame: Frame, metric: str) -> Markup:
     """Return every run with its figures."""
-    metrics = list(dict.fromkeys([metric, *_USUAL]))
+    metrics = list(dict.fromkeys([metric, *_USUAL, *([DROPPED] if any_dropped(frame) else [])]))
     metrics = [name for name in metrics if not frame.column(name).is_empty]
     paces = [PACE] if varies(frame, PACE) else []
     settings = [name for name in [*paces, *varying(frame)] if name != "repetition"][:_MOST_NAMES]

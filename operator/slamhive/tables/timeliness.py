@@ -29,6 +29,8 @@ LATENCIES = tuple(f"{LATENCY}{name}" for name in ("median", "p95", "p99", "max")
 """Columns of the time from a frame to the first pose for it."""
 FACTOR = "metrics.realTimeFactor"
 """Column of the time that a node took over the time it had; clearly above 1 it was behind."""
+DROPPED = "frames.dropped"
+"""Column of the frames that were dropped for want of time."""
 
 WORDS = (
     "Of nodes that a player played to, medians of the runs that count. Causal: each pose as it was first "
@@ -48,6 +50,11 @@ def by_clock(frame: Frame) -> Mask:
     on, in Lockstep there is none.
     """
     return where_equal(frame, PACE, Pace.REALTIME.value)
+
+
+def any_dropped(frame: Frame) -> bool:
+    """Tell whether frames were dropped for want of time in any of some runs."""
+    return bool(np.nansum(frame.column(DROPPED).floats()))
 
 
 def causal_of(name: str) -> str:
