@@ -435,8 +435,8 @@ def _usual(frame: Frame) -> list[str]:
 def usual_columns(names: Sequence[str], frame: Frame, *, filled: bool = False) -> list[str]:
     """Return the columns that are shown unless told: mean cores only where the clock alone set the pace.
 
-    What players note of nodes is shown where there is any: causal errors, latency, whether they kept up. So are
-    frames that were dropped, of whatever program.
+    What players note of nodes is shown where there is any: causal errors, latency, whether they kept up. So
+    is the number of frames that were dropped, by whatever program.
 
     Args:
         names: what is shown otherwise.

@@ -28,15 +28,20 @@ def is_over(status: dict[str, Any]) -> bool:
     return status.get("phase") in {"Succeeded", "Failed", "Cancelled"}
 
 
-def no_run_jobs(verb: str, resource: str, body: dict[str, Any]) -> Refusal | None:
-    """Refuse the Jobs of runs, as an admission webhook does."""
-    labels = (body.get("metadata") or {}).get("labels") or {}
-    refused = (verb, resource, labels.get("slamhive.io/role")) == ("create", "jobs.batch", "run")
-    return forbidden("jobs.batch", "one-1", "the image is not signed") if refused else None
+def no_jobs(role: str) -> Callable[[str, str, dict[str, Any]], Refusal | None]:
+    """Refuse the Jobs of a role, as an admission webhook does."""
+
+    def refused(verb: str, resource: str, body: dict[str, Any]) -> Refusal | None:
+        labels = (body.get("metadata") or {}).get("labels") or {}
+        if (verb, resource, labels.get("slamhive.io/role")) != ("create", "jobs.batch", role):
+            return None
+        return forbidden("jobs.batch", "one-1", "the image is not signed")
+
+    return refused
 
 
 async def test_a_run_whose_job_is_refused_says_so_until_it_is_admitted(fake_lab: Lab) -> None:
-    fake_lab.cluster.refuse(no_run_jobs)
+    fake_lab.cluster.refuse(no_jobs("run"))
     async with fake_lab.operator() as op:
         fake_lab.apply(run())
         status = await status_of(op, Kind.MAPPING_RUN, "one", lambda found: condition_of(found, "Admitted"))
@@ -51,7 +56,7 @@ async def test_a_run_whose_job_is_refused_says_so_until_it_is_admitted(fake_lab:
 
 
 async def test_a_run_whose_job_is_refused_for_long_fails_with_the_reason(fake_lab: Lab) -> None:
-    fake_lab.cluster.refuse(no_run_jobs)
+    fake_lab.cluster.refuse(no_jobs("run"))
     async with fake_lab.operator(refusalGraceSeconds=0) as op:
         fake_lab.apply(run())
         status = await status_of(op, Kind.MAPPING_RUN, "one", is_over)
@@ -110,6 +115,40 @@ def waiting(reason: str, message: str) -> Moment:
     """Return a pod whose containers wait."""
     state = {"waiting": {"reason": reason, "message": message}}
     return Moment("Pending", state, state)
+
+
+async def test_a_reading_that_cannot_begin_says_so_and_then_ends_the_attempt(
+    make_fake_lab: Callable[..., Lab],
+) -> None:
+    lab = make_fake_lab(run="nothing", ends={"read": waiting("ErrImagePull", "no such image")})
+    async with lab.operator(imagePullGraceSeconds=3600) as op:
+        lab.apply(run(retries=0))
+
+        def is_told(status: dict[str, Any]) -> bool:
+            return "not read yet" in str(condition_of(status, "Scheduled").get("message"))
+
+        status = await status_of(op, Kind.MAPPING_RUN, "one", is_told)
+        assert "no such image" in condition_of(status, "Scheduled")["message"]
+    async with lab.operator(imagePullGraceSeconds=0) as op:
+        status = await status_of(op, Kind.MAPPING_RUN, "one", is_over)
+    assert (status["phase"], status["reason"]) == ("Failed", "SystemFault")
+    assert "no such image" in status["message"]
+
+
+async def test_a_reading_that_is_refused_says_so_and_goes_on_when_it_is_admitted(
+    make_fake_lab: Callable[..., Lab],
+) -> None:
+    lab = make_fake_lab(run="nothing", ends={"read": ended(0, run_message())})
+    lab.cluster.refuse(no_jobs("read"))
+    async with lab.operator() as op:
+        lab.apply(run())
+        status = await status_of(op, Kind.MAPPING_RUN, "one", lambda found: condition_of(found, "Admitted"))
+        assert "the image is not signed" in condition_of(status, "Admitted")["message"]
+        lab.cluster.refuse(lambda *_: None)
+        lab.patch("mappingrun", "one", {"metadata": {"labels": {"look": "again"}}})
+        status = await status_of(op, Kind.MAPPING_RUN, "one", is_over)
+    assert (status["phase"], status["attempts"]) == ("Succeeded", 1)
+    assert condition_of(status, "Admitted")["status"] == "True"
 
 
 async def test_an_image_that_cannot_be_had_is_given_up(make_fake_lab: Callable[..., Lab]) -> None:

@@ -191,9 +191,9 @@ class RunReconciler:
         """Do what is next for a run that has all it needs; returns when to look again."""
         if facts.is_lost and await self._is_there(cluster, facts, state.attempts):
             return _TAKEN_SECONDS
-        attempted = await self._with_report(cluster, facts)
+        attempted, again = await self._with_report(cluster, facts, state)
         if attempted is None:
-            return None
+            return again
         disruptions = Disruptions.of(facts.body["status"], attempted)
         waits = await patience(cluster, facts.job, attempted.waiting, room_seconds=0.0)
         waits = disruptions.told(attempted, waits)
@@ -226,12 +226,13 @@ class RunReconciler:
         again = None if decision.look_again_at is None else decision.look_again_at - now
         return soonest(waits.seconds, delay, again)
 
-    @staticmethod
-    async def _with_report(cluster: Cluster, facts: RunFacts) -> Attempted | None:
-        """Return the newest attempt with what its monitor left; None while that is being read."""
+    async def _with_report(
+        self, cluster: Cluster, facts: RunFacts, state: RunState
+    ) -> tuple[Attempted | None, float | None]:
+        """Return the newest attempt with what its monitor left; None and when to look while that is read."""
         attempted = facts.attempted
         if not attempted.needs_read:
-            return attempted
+            return attempted, None
         # The termination message is a copy that can be missing. The truth is summary.json on the results
         # volume, which the operator does not mount: a Job reads it.
         body = read_job(
@@ -247,12 +248,25 @@ class RunReconciler:
                 job = await cluster.create(Kind.JOB, body)
             except AlreadyExists:
                 job = await cluster.refresh(key)
+            except REFUSALS as error:
+                if error.retryable:
+                    raise
+                return None, await self._denied(cluster, facts, state, error)
         seen = observe_job(job, await cluster.pods_of(job))
         if seen.is_lost:
             await cluster.delete(key)  # that leads back here, and to another
-        if seen.is_lost or seen.state is not AttemptState.ENDED:
-            return None
-        return attempted.with_report(read_report(seen.words), seen.problem)
+            return None, None
+        if seen.state is AttemptState.ENDED:
+            return attempted.with_report(read_report(seen.words), seen.problem), None
+        waits = await patience(cluster, job, seen.waiting)
+        if waits.end is not None:
+            await cluster.delete(key)  # it would go on trying
+            return attempted.with_report(None, (Reason.SYSTEM_FAULT, waits.end.message or "")), None
+        if waits.waiting is not None:
+            told = f"what its monitor left is not read yet: {waits.why}"
+            fresh = [condition("Scheduled", False, waits.waiting.reason, told)]
+            await cluster.write_status(Kind.MAPPING_RUN, facts.body, state_fields(state), fresh)
+        return None, waits.seconds
 
     @staticmethod
     async def _is_there(cluster: Cluster, facts: RunFacts, attempt: int) -> bool:
