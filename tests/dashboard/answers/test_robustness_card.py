@@ -33,6 +33,7 @@ async def site(
             number,
             uid=f"run-{number}",
             sweep="search",
+            sweepUid="search",
             spec={"algorithmRef": {"name": "orb"}, "datasetRef": {"name": "hall"}},
             parameters={"nFeatures": number + 1},
             results=[
