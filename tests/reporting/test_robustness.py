@@ -138,6 +138,22 @@ def test_two_namespaces_with_a_sweep_of_one_name_are_told_apart(slamhive: Slamhi
     }
 
 
+@pytest.mark.parametrize(("errors", "status"), [((0.1, 0.2), "no effect seen"), ((0.1, 0.9), "never fails")])
+def test_what_changes_nothing_is_not_what_is_borne(
+    slamhive: Slamhive, tmp_path: Path, errors: tuple[float, float], status: str
+) -> None:
+    """Repetitions differ by 0.15 m: an axis that moves the error by 0.1 m may have no effect."""
+    with Archive.open(f"sqlite:///{tmp_path / 'archive.sqlite'}") as archive:
+        archive.put_sweep(sweep_record("points", DROP))
+        for value, error in zip((0.0, 0.5), errors, strict=True):
+            for repetition in range(3):
+                run = of_run("points", "mad-icp", DROP, value, repetition)
+                results = [run.results[0].replace(values={"ate": {"rmse": error + 0.075 * repetition}})]
+                archive.put_run(run.model_copy(update={"results": results}))
+    (row,) = card(slamhive, tmp_path).values()
+    assert (row["status"], row["passes"]) == (status, 0.5)
+
+
 def test_csv_and_figure_hold_the_same_numbers(home: Path, slamhive: Slamhive, tmp_path: Path) -> None:
     code, text, _ = slamhive(home, "results", "robustness", "--format", "csv")
     assert code == 0

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from slamhive.analysis.expressions import parse_where
 from slamhive.analysis.grouping import FAILED_OF_ITSELF, SUBJECT, Groups, apart, varies, varying, where_equal
 from slamhive.analysis.measures import CONFIGURATION
-from slamhive.analysis.searches.thresholds import Threshold, estimate
+from slamhive.analysis.searches.thresholds import Threshold, estimate, noticed
 from slamhive.analysis.selection import first_rows
 from slamhive.engine import ValueTally
 from slamhive.model.errors import InputError
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
 
 MOST_AXES = 12
-_SWEEP = "sweep.uid"
+_SWEEP, _ERROR = "sweep.uid", "ate.rmse"
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,9 @@ def robustness(frame: Frame, wish: RobustnessWish) -> RobustnessCard:
             ]
             identity = repr(key)
             rows.setdefault(identity, key)
-            found[identity, axis] = estimate(axis, key, counts, quantile)
+            found[identity, axis] = _with_figure(
+                frame.select(own), axis, wish, estimate(axis, key, counts, quantile)
+            )
     order = sorted(rows, key=lambda one: [str(value) for value in rows[one].values()])
     told = {name for key in rows.values() for name in key}
     common = {name for name in told - {"algorithm"} if len({repr(rows[o].get(name)) for o in rows}) == 1}
@@ -201,6 +203,20 @@ def _series(part: Frame, axis: str, searches: Sequence[Search]) -> list[tuple[di
     facets = [name for name in facets if len({*part.column(name).tolist()} - {None}) > 1]
     groups = Groups(part, list(dict.fromkeys([*SUBJECT, *names, *facets])))
     return list(zip(groups.keys, groups.members(), strict=True))
+
+
+def _with_figure(part: Frame, axis: str, wish: RobustnessWish, threshold: Threshold) -> Threshold:
+    """Return a threshold that knows whether the figure of its rule, or else the error, changed at all."""
+    name = wish.rule(_first(part, _SWEEP, [0])).metric or _ERROR
+    figures, numbers = part.column(name).floats(), part.column(axis).floats()
+    if not np.isfinite(figures).all():
+        return threshold
+    datasets, _ = part.column("dataset").factorized()
+    blocks = [
+        [figures[here & (numbers == value)].tolist() for value in np.unique(numbers[here])]
+        for here in (datasets == one for one in np.unique(datasets))
+    ]
+    return noticed(threshold, name, blocks)
 
 
 def _judged(frame: Frame, wish: RobustnessWish) -> tuple[Mask, Mask]:
