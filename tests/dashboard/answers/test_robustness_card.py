@@ -65,6 +65,11 @@ async def test_a_card_is_by_what_was_sought(site: Any) -> None:
     assert "failed are runs with ate.rmse above 0.35, or that lost track" in " ".join(card["notes"])
 
 
+async def test_a_run_that_a_search_chose_says_so(site: Any) -> None:
+    (note,) = (await site.get("/runs/run-2"))["notes"]
+    assert note.startswith("¶ a search (Threshold) chose this run")
+
+
 async def test_another_rule_and_the_table(site: Any) -> None:
     ((cell,),) = [
         system["cells"]
