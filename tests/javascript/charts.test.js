@@ -238,14 +238,16 @@ test('a bar ends where it last passes, and goes on where nothing fails', () => {
     reached('always', { status: 'always fails', passing: null, failing: 1 }),
     reached('falls', { falls: true, passing: 3, failing: 2, sure: [null, 4] }),
     reached('odd', { status: 'not monotone' }),
+    reached('still', { status: 'no effect seen', passing: 4, failing: null }),
   ];
-  const [bars, sure, passes, fails, open] = reachChart(AXIS, rows)
+  const [bars, sure, passes, fails, open, still] = reachChart(AXIS, rows)
     .option(SIZE)
     .series.map(({ data }) => data);
   assert.deepEqual(bars, [
     [1, 2, 0],
     [1, 4, 1],
     [4, 3, 3],
+    [1, 4, 5],
   ]);
   assert.deepEqual(sure, [
     [1, 4, 0],
@@ -254,6 +256,7 @@ test('a bar ends where it last passes, and goes on where nothing fails', () => {
   /** @param {any[]} marks */
   const places = (marks) => marks.map(({ value }) => value);
   assert.deepEqual(places(open), [[4, 1]]);
+  assert.deepEqual(places(still), [[4, 5]]);
   assert.deepEqual(places(fails), [
     [3, 0],
     [1, 2],

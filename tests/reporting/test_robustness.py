@@ -42,6 +42,7 @@ def of_run(sweep: str, algorithm: str, axis: str, value: float, repetition: int)
             "uid": name,
             "name": name,
             "sweep": sweep,
+            "sweepUid": sweep,
             "spec": {
                 "algorithmRef": {"name": algorithm},
                 "datasetRef": {"name": "hall"},
@@ -117,6 +118,40 @@ def test_the_axis_and_the_rule_are_those_that_were_sought(home: Path, slamhive: 
     assert rows["mad-icp", DROP]["passes"] == 0.4
     rows = card(slamhive, home, "--quantile", "0.3")
     assert rows["genz-icp", DROP]["passes"] == 0.4
+
+
+def test_two_namespaces_with_a_sweep_of_one_name_are_told_apart(slamhive: Slamhive, tmp_path: Path) -> None:
+    failing = {"metric": "ate.rmse", "above": 0.5}
+    with Archive.open(f"sqlite:///{tmp_path / 'archive.sqlite'}") as archive:
+        for namespace, axis, rule in (("one", DROP, {}), ("two", NOISE, {"failing": failing})):
+            uid = f"uid-{namespace}"
+            record = sweep_record("sought", axis)
+            spec = record.spec | {"search": record.spec["search"] | rule}
+            archive.put_sweep(record.replace(uid=uid, namespace=namespace, spec=spec))
+            runs = [of_run(namespace, "kiss-icp", axis, value, 0) for value in (0.0, 0.2, 0.4, 0.6, 0.9)]
+            change = {"sweep": "sought", "sweep_uid": uid, "namespace": namespace}
+            archive.put_runs(run.model_copy(update=change) for run in runs)
+    rows = card(slamhive, tmp_path)
+    assert {axis: (row["passes"], row["fails"]) for (_, axis), row in rows.items()} == {
+        DROP: (0.6, 0.9),
+        NOISE: (0.4, 0.6),  # where its error exceeds 0.5 m; it lost track before
+    }
+
+
+@pytest.mark.parametrize(("errors", "status"), [((0.1, 0.2), "no effect seen"), ((0.1, 0.9), "never fails")])
+def test_what_changes_nothing_is_not_what_is_borne(
+    slamhive: Slamhive, tmp_path: Path, errors: tuple[float, float], status: str
+) -> None:
+    """Repetitions differ by 0.15 m: an axis that moves the error by 0.1 m may have no effect."""
+    with Archive.open(f"sqlite:///{tmp_path / 'archive.sqlite'}") as archive:
+        archive.put_sweep(sweep_record("points", DROP))
+        for value, error in zip((0.0, 0.5), errors, strict=True):
+            for repetition in range(3):
+                run = of_run("points", "mad-icp", DROP, value, repetition)
+                results = [run.results[0].replace(values={"ate": {"rmse": error + 0.075 * repetition}})]
+                archive.put_run(run.model_copy(update={"results": results}))
+    (row,) = card(slamhive, tmp_path).values()
+    assert (row["status"], row["passes"]) == (status, 0.5)
 
 
 def test_csv_and_figure_hold_the_same_numbers(home: Path, slamhive: Slamhive, tmp_path: Path) -> None:

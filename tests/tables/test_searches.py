@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import math
 import re
 import shutil
@@ -226,6 +228,13 @@ def test_results_that_a_search_chose_are_marked_and_left_out_of_boards(home: Pat
 )
 def test_what_looks_at_no_results_is_a_fair_sample(search: Any, method: str | None) -> None:
     assert choosing_method({} if search is None else {"search": search}) == method
+
+
+def test_the_list_of_runs_says_which_a_search_chose(home: Path, monkeypatch: Any, capsys: Any) -> None:
+    code, text, _ = run(capsys, home, monkeypatch, "results", "list", "--format", "csv")
+    rows = list(csv.DictReader(io.StringIO(text)))
+    found = {(row["sweep"], row["search"]) for row in rows}
+    assert (code, found) == (0, {("tune", "TPE"), ("front", "NSGA-II"), ("live", "TPE")})
 
 
 def test_of_a_threshold_the_values_are_told_and_none_is_the_best() -> None:

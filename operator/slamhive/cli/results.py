@@ -16,7 +16,7 @@ import typer
 from slamhive.analysis.columns import ColumnKind
 from slamhive.analysis.derived import LATE_SECONDS, PACE
 from slamhive.analysis.frame import Frame
-from slamhive.analysis.grouping import Outcomes, aggregate, late_notes, varies, varying
+from slamhive.analysis.grouping import SEARCHED, Outcomes, aggregate, late_notes, varies, varying
 from slamhive.analysis.measures import CAUSAL
 from slamhive.analysis.metrics import Metric, declared_units
 from slamhive.analysis.selection import Chosen, Selection, choose, order_by, order_rows
@@ -68,7 +68,8 @@ _BLOCK = 2000
 """Rows written at a time: what an export needs memory for."""
 
 LIST_COLUMNS = (
-    *("run", "sweep", "algorithm", "sensors", "dataset", "repetition", "phase", "evaluation", "outcome"),
+    *("run", "sweep", SEARCHED, "algorithm", "sensors", "dataset", "repetition"),
+    *("phase", "evaluation", "outcome"),
     *("ate.rmse", f"{CAUSAL}ate.rmse", "rpe[0].rmse", "coverage"),
     *("usage.cpu.secondsPerDataSecond", "usage.cpu.meanCores", "usage.memory.peakBytes"),
     *(LATE_SECONDS, FACTOR, DROPPED, "finished"),
@@ -80,7 +81,7 @@ TABLE_METRICS = (
     *("usage.cpu.secondsPerDataSecond", "usage.cpu.meanCores", "usage.memory.peakBytes"),
     *(*LATENCIES, FACTOR, DROPPED),
 )
-_WHERE_PLAYED = {f"{CAUSAL}ate.rmse", LATE_SECONDS, FACTOR}
+_WHERE_ANY = {SEARCHED, f"{CAUSAL}ate.rmse", LATE_SECONDS, FACTOR}
 _SAID_ONCE = ("sweep", "algorithm", "sensors", "dataset", "phase", "evaluation")
 _MOST_SETTINGS = 6
 _MOST_PROBLEMS = 15
@@ -435,8 +436,8 @@ def _usual(frame: Frame) -> list[str]:
 def usual_columns(names: Sequence[str], frame: Frame, *, filled: bool = False) -> list[str]:
     """Return the columns that are shown unless told: mean cores only where the clock alone set the pace.
 
-    What players note of nodes is shown where there is any: causal errors, latency, whether they kept up. So
-    is the number of frames that were dropped, by whatever program.
+    What players note of nodes is shown where there is any (causal errors, latency, whether they kept up), and
+    so are frames that were dropped, and by which method a search chose a run.
 
     Args:
         names: what is shown otherwise.
@@ -448,7 +449,7 @@ def usual_columns(names: Sequence[str], frame: Frame, *, filled: bool = False) -
     if not any_dropped(frame):
         hidden.add(DROPPED)
     shown = [name for name in names if name not in hidden]
-    return [name for name in shown if not ((filled or name in _WHERE_PLAYED) and frame.column(name).is_empty)]
+    return [name for name in shown if not ((filled or name in _WHERE_ANY) and frame.column(name).is_empty)]
 
 
 def _names(text: str | None) -> list[str] | None:

@@ -68,6 +68,8 @@ def _reach(cell: Threshold, row: int, *, falls: bool) -> Reach:
             return Reach(row, start, passing, cell.failing, sure=cell.sure, text=text)
         case ThresholdStatus.NEVER:
             return Reach(row, start, end, is_open=True, text=f"never, {cell.counted(end)}")
+        case ThresholdStatus.NO_EFFECT:
+            return Reach(row, start, end, is_open=True, text=f"no effect seen, {cell.counted(end)}")
         case ThresholdStatus.ALWAYS:
             return Reach(row, start, start, start, text=f"always, {cell.counted(start)}")
         case ThresholdStatus.NOT_MONOTONE:

@@ -33,6 +33,7 @@ async def site(
             number,
             uid=f"run-{number}",
             sweep="search",
+            sweepUid="search",
             spec={"algorithmRef": {"name": "orb"}, "datasetRef": {"name": "hall"}},
             parameters={"nFeatures": number + 1},
             results=[
@@ -62,6 +63,11 @@ async def test_a_card_is_by_what_was_sought(site: Any) -> None:
     assert (cell["status"], cell["passing"], cell["failing"], cell["falls"]) == ("found", 3, 4, False)
     assert [one["failed"] for one in cell["values"]] == [0, 0, 0, 1, 1, 1]
     assert "failed are runs with ate.rmse above 0.35, or that lost track" in " ".join(card["notes"])
+
+
+async def test_a_run_that_a_search_chose_says_so(site: Any) -> None:
+    (note,) = (await site.get("/runs/run-2"))["notes"]
+    assert note.startswith("¶ a search (Threshold) chose this run")
 
 
 async def test_another_rule_and_the_table(site: Any) -> None:

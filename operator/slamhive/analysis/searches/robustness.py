@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from slamhive.analysis.expressions import parse_where
 from slamhive.analysis.grouping import FAILED_OF_ITSELF, SUBJECT, Groups, apart, varies, varying, where_equal
 from slamhive.analysis.measures import CONFIGURATION
-from slamhive.analysis.searches.thresholds import Threshold, estimate
+from slamhive.analysis.searches.thresholds import Threshold, estimate, noticed
 from slamhive.analysis.selection import first_rows
 from slamhive.engine import ValueTally
 from slamhive.model.errors import InputError
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
 
 MOST_AXES = 12
+_SWEEP, _ERROR = "sweep.uid", "ate.rmse"
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class RobustnessWish:
         failing: condition on runs that failed; None for those of the searches, or else all but tracked.
         quantile: share of the runs that must fail for a value to fail; None for that of the searches, or
             else one half.
-        searches: what the Sweeps sought, by name.
+        searches: what the Sweeps sought, by their identity: several may have one name.
         option: what names the axes, for complaints.
     """
 
@@ -52,7 +53,7 @@ class RobustnessWish:
     option: str = "x"
 
     def rule(self, sweep: str | None) -> Failing:
-        """Return the rule by which runs of a Sweep failed."""
+        """Return the rule by which runs of a Sweep, given its identity, failed."""
         search = self.searches.get(sweep or "")
         return search.failing if search is not None else Failing()
 
@@ -108,11 +109,11 @@ def robustness(frame: Frame, wish: RobustnessWish) -> RobustnessCard:
         inside = np.isfinite(numbers) & _apart_from(frame, axis, axes, wish)
         part = frame.select(inside)
         runs += len(part)
-        sweeps = {one for one in part.column("sweep").tolist() if one is not None}
-        searches = [search for name, search in wish.searches.items() if name in sweeps]
+        sweeps = set(part.column(_SWEEP).tolist())
+        searches = [search for uid, search in wish.searches.items() if uid in sweeps]
         for key, members in _series(part, axis, searches):
             own = np.flatnonzero(inside)[members]
-            quantile = wish.quantile or wish.rule(_first(part, "sweep", members)).quantile
+            quantile = wish.quantile or wish.rule(_first(part, _SWEEP, members)).quantile
             counts = [
                 ValueTally(float(value), int(failed[at].sum()), int(known[at].sum()))
                 for value in np.unique(numbers[own])
@@ -120,7 +121,9 @@ def robustness(frame: Frame, wish: RobustnessWish) -> RobustnessCard:
             ]
             identity = repr(key)
             rows.setdefault(identity, key)
-            found[identity, axis] = estimate(axis, key, counts, quantile)
+            found[identity, axis] = _with_figure(
+                frame.select(own), axis, wish, estimate(axis, key, counts, quantile)
+            )
     order = sorted(rows, key=lambda one: [str(value) for value in rows[one].values()])
     told = {name for key in rows.values() for name in key}
     common = {name for name in told - {"algorithm"} if len({repr(rows[o].get(name)) for o in rows}) == 1}
@@ -140,15 +143,16 @@ def _axes(frame: Frame, wish: RobustnessWish) -> tuple[str, ...]:
             if not np.isfinite(frame.column(name).floats()).any():
                 raise InputError(f"{name}: a column of numbers is needed, this one holds none", wish.option)
         return _few(names, wish)
-    sweeps = {one for one in frame.column("sweep").tolist() if one is not None}
-    sought = [search.axis for name, search in sorted(wish.searches.items()) if name in sweeps]
+    names_of = dict(zip(frame.column(_SWEEP).tolist(), frame.column("sweep").tolist(), strict=True))
+    found = sorted((str(names_of[uid]), uid) for uid in wish.searches if uid in names_of)
+    sought = [wish.searches[uid].axis for _, uid in found]
     names = tuple(dict.fromkeys(name for name in sought if name and frame.has(name)))
     if names:
         return _few(names, wish)
     varied = [name for name in varying(frame) if _is_axis(frame, name)]
     if not varied:
         raise InputError("no number was varied in these runs: there is nothing to fail by", wish.option)
-    if len(varied) > 1 and len(set(map(str, sweeps))) < len(varied):
+    if len(varied) > 1 and len(names_of.keys() - {None}) < len(varied):
         raise InputError(
             f"{', '.join(varied)} were varied: name the axes whose thresholds are meant", wish.option
         )
@@ -172,13 +176,13 @@ def _is_axis(frame: Frame, name: str) -> bool:
 def _apart_from(frame: Frame, axis: str, axes: Sequence[str], wish: RobustnessWish) -> Mask:
     """Tell which runs are those of an axis: not those of a search of another one."""
     others = [
-        name
-        for name, search in wish.searches.items()
+        uid
+        for uid, search in wish.searches.items()
         if not wish.axes and search.axis in axes and search.axis != axis
     ]
     inside: Mask = np.ones(len(frame), dtype=bool)
-    for name in others:
-        inside &= ~where_equal(frame, "sweep", name)
+    for uid in others:
+        inside &= ~where_equal(frame, _SWEEP, uid)
     return inside
 
 
@@ -201,6 +205,20 @@ def _series(part: Frame, axis: str, searches: Sequence[Search]) -> list[tuple[di
     return list(zip(groups.keys, groups.members(), strict=True))
 
 
+def _with_figure(part: Frame, axis: str, wish: RobustnessWish, threshold: Threshold) -> Threshold:
+    """Return a threshold that knows whether the figure of its rule, or else the error, changed at all."""
+    name = wish.rule(_first(part, _SWEEP, [0])).metric or _ERROR
+    figures, numbers = part.column(name).floats(), part.column(axis).floats()
+    if not np.isfinite(figures).all():
+        return threshold
+    datasets, _ = part.column("dataset").factorized()
+    blocks = [
+        [figures[here & (numbers == value)].tolist() for value in np.unique(numbers[here])]
+        for here in (datasets == one for one in np.unique(datasets))
+    ]
+    return noticed(threshold, name, blocks)
+
+
 def _judged(frame: Frame, wish: RobustnessWish) -> tuple[Mask, Mask]:
     """Tell which runs failed, and of which that is known."""
     own = np.array([one in FAILED_OF_ITSELF for one in frame.column("reason").tolist()], dtype=bool)
@@ -214,7 +232,7 @@ def _judged(frame: Frame, wish: RobustnessWish) -> tuple[Mask, Mask]:
         except InputError as error:
             raise InputError(str(error), "failing") from None
         return broken | (measured & failed), broken | measured
-    sweeps = frame.column("sweep").tolist()
+    sweeps = frame.column(_SWEEP).tolist()
     failed = np.zeros(len(frame), dtype=bool)
     for sweep in dict.fromkeys(sweeps):
         mine = np.array([one == sweep for one in sweeps], dtype=bool)
@@ -241,7 +259,7 @@ def _notes(frame: Frame, wish: RobustnessWish, runs: int, common: Mapping[str, A
     if wish.failing is not None:
         rule = f"which meet {wish.failing}"
     else:
-        sweeps = {None if one is None else str(one) for one in frame.column("sweep").tolist()}
+        sweeps = {None if one is None else str(one) for one in frame.column(_SWEEP).tolist()}
         rule = "; or ".join(sorted({_rule_text(wish.rule(sweep)) for sweep in sweeps}))
     notes.append(f"failed are runs {rule}, and those whose program failed")
     notes.append(
@@ -261,13 +279,13 @@ def _rule_text(rule: Failing) -> str:
 
 
 def searches_of(specs: Mapping[str, Mapping[str, Any]]) -> dict[str, Search]:
-    """Return the searches of Sweeps that sought thresholds, by name.
+    """Return the searches of Sweeps that sought thresholds, by identity.
 
     Args:
-        specs: specs of Sweeps by name, as they are archived.
+        specs: specs of Sweeps by identity, as they are archived.
     """
     found: dict[str, Search] = {}
-    for name, spec in specs.items():
+    for uid, spec in specs.items():
         if (spec.get("search") or {}).get("method") != SearchMethod.THRESHOLD.value:
             continue
         try:
@@ -277,5 +295,5 @@ def searches_of(specs: Mapping[str, Mapping[str, Any]]) -> dict[str, Search]:
         labels = {one.get("name") or one.get("path"): one.get("path") for one in spec.get("matrix") or ()}
         across = [labels.get(label) or label for label in search.across or ()]
         axis = labels.get(search.axis) or search.axis
-        found[name] = search.replace(axis=axis, across=across or None)
+        found[uid] = search.replace(axis=axis, across=across or None)
     return found

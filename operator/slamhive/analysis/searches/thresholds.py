@@ -9,7 +9,8 @@ values next to the split, and from nothing but that failing is monotone.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import statistics
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import tallies
@@ -30,10 +31,11 @@ _NEARLY = 1e-9
 
 
 class ThresholdStatus(Choice):
-    """Kinds of thresholds: found, beyond one end or the other, contradicted, or not known."""
+    """Kinds of thresholds: found, beyond either end, of what does nothing, contradicted, or not known."""
 
     FOUND = "found"
     NEVER = "never fails"
+    NO_EFFECT = "no effect seen"
     ALWAYS = "always fails"
     NOT_MONOTONE = "not monotone"
     UNKNOWN = "unknown"
@@ -52,6 +54,7 @@ class Threshold:
         low, high: neighbouring values between which it lies; of a threshold that lies beyond the values one
             of them is None.
         sure: values between which it lies in 95 of 100 such cases, None for an end that isn't known.
+        figure: the figure in which no effect was seen; None where there is one, or none was looked at.
     """
 
     axis: str
@@ -62,6 +65,7 @@ class Threshold:
     low: float | None = None
     high: float | None = None
     sure: tuple[float | None, float | None] = (None, None)
+    figure: str | None = None
 
     @property
     def passing(self) -> float | None:
@@ -100,6 +104,9 @@ class Threshold:
         match self.status:
             case ThresholdStatus.NEVER:
                 return f"never fails from {tried}"
+            case ThresholdStatus.NO_EFFECT:
+                words = f"never fails, and {self.figure} changes no more than from repetition to repetition"
+                return f"no effect seen from {tried}: {words}"
             case ThresholdStatus.ALWAYS:
                 return f"always fails from {tried}"
             case ThresholdStatus.NOT_MONOTONE:
@@ -164,6 +171,28 @@ def estimate(axis: str, series: Mapping[str, Any], found: Sequence[ValueTally], 
     return Threshold(
         axis, series, tuple(found), status, None if is_beyond else direction, before, after, ends
     )
+
+
+def noticed(threshold: Threshold, figure: str, blocks: Sequence[Sequence[Sequence[float]]]) -> Threshold:
+    """Return a threshold, told of as one of what does nothing where no run failed and nothing else changed.
+
+    A figure changes where the medians of values are further apart than the repetitions of any one value.
+
+    Args:
+        threshold: what is known of it.
+        figure: name of a figure of the runs.
+        blocks: for each dataset, and each value that was run on it, the figure of each run.
+    """
+    if threshold.status is not ThresholdStatus.NEVER or any(one.failed for one in threshold.tallies):
+        return threshold
+    for block in blocks:
+        medians = [statistics.median(one) for one in block]
+        among = max(max(one) - min(one) for one in block)
+        if max(medians) - min(medians) > among + _NEARLY * abs(medians[0]):
+            return threshold
+    if not any(len(block) > 1 for block in blocks):
+        return threshold
+    return replace(threshold, status=ThresholdStatus.NO_EFFECT, figure=figure)
 
 
 def _split(ordered: Sequence[ValueTally], quantile: float) -> tuple[float, int, int]:

@@ -38,7 +38,7 @@ def card_wish(axes: str | None, failing: str | None, quantile: float | None) -> 
     from slamhive.archive import Archive
 
     with Archive.open(Home.from_environment().archive_url, read_only=True) as archive:
-        searches = searches_of({one.name: one.spec for one in archive.sweeps()})
+        searches = searches_of({one.uid: one.spec for one in archive.sweeps()})
     return RobustnessWish(tuple(split_names(axes)) if axes else (), failing, quantile, searches)
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from slamhive.analysis.grouping import SUBJECT, varying, where_equal
+from slamhive.analysis.grouping import CHOSEN, SEARCHED, SUBJECT, varying, where_equal
 from slamhive.analysis.measuring import outdated_note
 from slamhive.analysis.metrics import declared_units, label_of
 from slamhive.contract.environment import SETTINGS_FOLDER
@@ -152,7 +152,7 @@ def detail(snapshot: Snapshot, found: FoundRun) -> Body:
         "provenance": plain.get("provenance") or {},
         "results": [_result_json(causal_result(record, result)) for result in record.results],
         "notes": [
-            *filter(None, [late_note(record)]),
+            *filter(None, [late_note(record), _chosen_note(snapshot, record)]),
             *(note for result in record.results for note in _notes(result)),
         ],
         "logTail": record.log_tail,
@@ -165,6 +165,14 @@ def detail(snapshot: Snapshot, found: FoundRun) -> Body:
         },
     }
     return Body(content)
+
+
+def _chosen_note(snapshot: Snapshot, record: RunRecord) -> str | None:
+    """Return a sentence on a run that a search chose by results; None for others."""
+    frame = snapshot.frame
+    method = frame.select(where_equal(frame, "uid", record.uid)).column(SEARCHED).tolist()[:1]
+    told = f"{CHOSEN} a search ({method[0]}) chose this run by the results of others: it is no fair sample"
+    return told if any(method) else None
 
 
 def _varied(snapshot: Snapshot, configuration: dict[str, Any]) -> list[dict[str, Any]]:

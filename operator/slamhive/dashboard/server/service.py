@@ -138,8 +138,8 @@ class Service:
         return StoredSweeps(records, await self._totals.of(records))
 
     async def threshold_searches(self, _: Snapshot) -> dict[str, Search]:
-        """Return the searches of the sweeps that sought thresholds, by name."""
-        return searches_of({sweep.name: sweep.spec for sweep in await self.run(self.source.sweeps)})
+        """Return the searches of the sweeps that sought thresholds, by identity."""
+        return searches_of({sweep.uid: sweep.spec for sweep in await self.run(self.source.sweeps)})
 
     async def run(self, compute: Callable[[], T]) -> T:
         """Look something up in a thread: what asks databases, and costs little."""

@@ -16,7 +16,7 @@ export function reachChart(axis, rows) {
   const [least, most] = [Math.min(...tried), Math.max(...tried)];
   const log = least > 0 && most > 30 * least;
   /** @type {any[]} */
-  const [bars, sure, fails, open, passes] = [[], [], [], [], []];
+  const [bars, sure, fails, open, passes, still] = [[], [], [], [], [], []];
   rows.forEach(({ name, cell }, at) => {
     if (!cell || cell.values.length === 0) return;
     const values = cell.values.map((one) => one.value * factor);
@@ -28,6 +28,9 @@ export function reachChart(axis, rows) {
     if (cell.status === 'never fails') {
       bars.push([start, end, at]);
       open.push(point(end));
+    } else if (cell.status === 'no effect seen') {
+      bars.push([start, end, at]);
+      still.push(point(end));
     } else if (cell.status === 'always fails') fails.push(point(start));
     else if (cell.status === 'found' && cell.passing !== null && cell.failing !== null) {
       bars.push([start, cell.passing * factor, at]);
@@ -70,6 +73,7 @@ export function reachChart(axis, rows) {
         marks('passes', passes, { symbol: 'circle', symbolSize: 7, color: COLOURS[0] }),
         marks('fails', fails, { symbol: 'diamond', color: COLOURS[4] }),
         marks('never fails', open, { symbol: 'arrow', symbolRotate: -90, symbolSize: 13, color: COLOURS[2] }),
+        marks('no effect seen', still, { symbol: 'emptyCircle', color: COLOURS[2] }),
       ],
     }),
   };

@@ -62,6 +62,9 @@ export const onPhone = (told) => [...new Set(['algorithm', ...told, 'status', 'r
 /** Column of what was found to be wrong with the recording of a run. */
 export const FINDINGS = 'prepared.findings';
 
+/** Column of the method by whose results a search chose a run. */
+export const SEARCHED = 'search';
+
 /** Columns that are worth their room even where all runs have one value in them. */
 export const KEPT = ['run', 'finished', 'status', 'ate.rmse'];
 
@@ -103,7 +106,10 @@ export const dressed = (headings) =>
       if (one.name === 'run' || one.name === 'name')
         return {
           ...one,
-          show: (value, row) => (row.uid ? runLink(row.uid, value ?? row.uid) : value),
+          show: (value, row) => html`
+            ${row.uid ? runLink(row.uid, value ?? row.uid) : value}
+            ${row[SEARCHED] && html`${' '}<abbr title=${`chosen by a search (${clip(row[SEARCHED], 40)})`}>¶</abbr>`}
+          `,
         };
       if (one.name === 'status' || one.name === 'outcome' || one.name === 'phase')
         return { ...one, show: (value) => (value === null ? '–' : html`<${Status} value=${value} />`) };

@@ -8,7 +8,7 @@ import { foremost, useNarrow } from '../core/narrow.js';
 import { Empty, Fault, Link, NothingFits, Notes, Table, Tick, useTitle, Waiting } from '../core/parts.js';
 import { TruthLink } from '../core/truth.js';
 import { html, useState } from '../core/ui.js';
-import { FINDINGS, folded, KEPT, onPhone, Same } from '../core/runrows.js';
+import { FINDINGS, folded, KEPT, onPhone, Same, SEARCHED } from '../core/runrows.js';
 
 /** What a player notes of nodes is there where there are any. */
 const CAUSAL = 'beside.online.ate.rmse';
@@ -43,7 +43,7 @@ export default function Runs() {
       : ['run', 'algorithm'];
   const sort = query.get('sort') || (isKnown('finished') ? NEWEST : '');
   const asked = {
-    columns: [...new Set(['uid', ...chosen, ...(isKnown(FINDINGS) ? [FINDINGS] : [])])].join(','),
+    columns: [...new Set(['uid', ...chosen, ...[FINDINGS, SEARCHED].filter(isKnown)])].join(','),
     sort,
     limit: query.get('limit', '100'),
   };
