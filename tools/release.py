@@ -162,7 +162,7 @@ def needed(requirements: list[str]) -> list[Package]:
             continue
         told = importlib.metadata.metadata(asked.name)
         name = asked.name.lower().replace("_", "-")
-        licence = told["License-Expression"] if "License-Expression" in told else ""
+        licence = "".join(told.get_all("License-Expression") or [])
         found[name] = Package("pypi", name, told["Version"], license=licence)
         for wanted in ("", *sorted(asked.extras)):
             if (name, wanted) not in seen:
