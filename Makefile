@@ -20,7 +20,7 @@ pytest = $(BIN)/python -m pytest -n $(WORKERS) $(1) $(TESTS)
 unexport PYTHONDONTWRITEBYTECODE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test test-cluster test-all test-packages test-images pins cluster-build cluster-up cluster-down images dist docs lint bench bench-scale fuzz fuzz-api fuzz-cluster coverage honest doctor audit install demo-environment crds clean help
+.PHONY: demo test test-cluster test-all test-packages test-images pins cluster-build cluster-up cluster-down images dist release docs lint bench bench-scale fuzz fuzz-api fuzz-cluster coverage honest doctor audit install demo-environment crds clean help
 
 help:
 	@echo 'make demo    compare real algorithms on a generated recording'
@@ -31,6 +31,7 @@ help:
 	@echo 'make docs    the docs site, in site/'
 	@echo 'make images  build the container images'
 	@echo 'make dist    wheels and source distributions of slamhive and slamhive-eval'
+	@echo 'make release  all files of a release, made twice and compared: packages, charts, images, SBOMs, checksums'
 	@echo 'make pins    versions and hashes of all Python packages'
 	@echo 'make audit   known vulnerabilities of all packages'
 	@echo 'make cluster-up, cluster-down   a real Kubernetes for tests, on this machine'
@@ -93,6 +94,11 @@ test-packages:
 dist: install
 	cd evaluator && ../$(BIN)/python -m hatchling build --directory ../dist
 	$(BIN)/python -m hatchling build --directory dist
+
+# All files of a release, in dist/release/, made twice from the commit and compared. IMAGES=none leaves out what takes
+# minutes each.
+release: install
+	@$(BIN)/python tools/release.py $(IMAGES)
 
 # The docs site, in site/.
 docs: install

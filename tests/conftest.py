@@ -51,6 +51,7 @@ NEEDS = {
     "ros": ("ros",),
     "helm": ("helm",),
     "podman": ("container",),
+    "rerun": ("slow",),
 }
 """Markers of the tests that ask for a fixture."""
 LONG = {"slow", "image", "ros", "container", "cluster"}

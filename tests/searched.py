@@ -86,7 +86,7 @@ def searched(
     plan, chance, records = SearchPlan(sweep, FixedCatalog(), strict=False), random.Random(1), {}
     search = sweep.spec.search
     while True:
-        decision = decide(search, plan, runs_seen(records, search))
+        decision = decide(plan, runs_seen(records, search))
         if decision.is_over or len(records) == most_runs:
             return plan, records
         if decision.draws:

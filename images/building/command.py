@@ -8,6 +8,7 @@ import fcntl
 import importlib.util
 import sys
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from building import packages
@@ -16,7 +17,7 @@ from building.digests import write_digests
 from building.errors import BuildError
 from building.loading import load
 from building.recipes import ROOT, Recipe, recipes
-from building.tools import Tool, choose
+from building.tools import Manner, Tool, choose, machine
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -65,6 +66,12 @@ def _parser(known: dict[str, Recipe]) -> argparse.ArgumentParser:
         "--digests", action="store_true", help="only write the bases' digests of today into the Dockerfiles"
     )
     parser.add_argument("--tool", choices=["docker", "buildah"], help="what to build with")
+    fresh = "take nothing that was built before"
+    parser.add_argument("--fresh", action="store_true", help=fresh)
+    time = "time of all files, s since 1970: two builds are equal; takes buildah"
+    parser.add_argument("--timestamp", type=int, metavar="SECONDS", help=time)
+    archive = "write NAME-VERSION-MACHINE.tar of each, which docker, podman and containerd load"
+    parser.add_argument("--archive", type=Path, metavar="FOLDER", help=archive)
     parser.add_argument("--list", action="store_true", help="only say what images there are")
     return parser
 
@@ -78,7 +85,7 @@ def _chosen(names: list[str], known: dict[str, Recipe]) -> list[Recipe]:
 
 
 def _build_all(chosen: list[Recipe], options: argparse.Namespace) -> int:
-    tool = choose(options.tool, PLACE)
+    tool = choose(options.tool, PLACE, Manner(options.fresh, options.timestamp))
     bases = Bases(tool, options.base)
     for name in sorted({recipe.default_base for recipe in chosen}):
         if "@" not in name and not options.base:
@@ -86,7 +93,12 @@ def _build_all(chosen: list[Recipe], options: argparse.Namespace) -> int:
     failed = 0
     for recipe in chosen:
         try:
-            done = _build(tool, bases, recipe)
+            done = _build(tool, bases, recipe, fresh=options.fresh)
+            if options.archive:
+                options.archive.mkdir(parents=True, exist_ok=True)
+                path = options.archive / f"{recipe.file_name}-{machine()}.tar"
+                path.unlink(missing_ok=True)
+                tool.archive(recipe.reference, path.absolute())
             if options.load:
                 done += f", {load(tool, recipe.reference)}"
             print(f"{recipe.tag:42} {done}", flush=True)
@@ -96,12 +108,12 @@ def _build_all(chosen: list[Recipe], options: argparse.Namespace) -> int:
     return 1 if failed else 0
 
 
-def _build(tool: Tool, bases: Bases, recipe: Recipe) -> str:
+def _build(tool: Tool, bases: Bases, recipe: Recipe, *, fresh: bool) -> str:
     start = time.monotonic()
     base, identity = bases.of(recipe)
     labels = recipe.labels(base, identity)
     image = tool.find(recipe.reference)
-    if image and image.labels.get("io.slamhive.inputs") == labels["io.slamhive.inputs"]:
+    if not fresh and image and image.labels.get("io.slamhive.inputs") == labels["io.slamhive.inputs"]:
         done = "is up to date"
     else:
         tool.build(recipe, base, labels)
@@ -109,7 +121,7 @@ def _build(tool: Tool, bases: Bases, recipe: Recipe) -> str:
         if image is None:
             raise BuildError(f"{tool.name} doesn't know the image that it built")
         done = f"built in {time.monotonic() - start:.0f} s, {image.size / 1e6:.0f} MB"
-    listing = PLACE / f"{recipe.tag.partition('/')[2].replace(':', '-')}.cdx.json"
+    listing = PLACE / f"{recipe.file_name}.cdx.json"
     if listing.exists() and image.identity.removeprefix("sha256:") in listing.read_text():
         return done
     if importlib.util.find_spec("cyclonedx") is None:

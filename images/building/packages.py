@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import uuid
 from dataclasses import dataclass
@@ -11,6 +12,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
+
+    from cyclonedx.model.component import Component
 
     from building.recipes import Recipe
     from building.tools import Image
@@ -88,12 +91,8 @@ def document(recipe: Recipe, image: Image, packages: Iterable[Package], distribu
     """
     from cyclonedx.contrib.license.factories import LicenseFactory
     from cyclonedx.model import HashAlgorithm, HashType
-    from cyclonedx.model.bom import Bom
     from cyclonedx.model.component import Component, ComponentType
-    from cyclonedx.output.json import JsonV1Dot6
-    from packageurl import PackageURL
 
-    licences = LicenseFactory()
     name, _, version = recipe.tag.partition(":")
     root = Component(
         name=name,
@@ -101,9 +100,28 @@ def document(recipe: Recipe, image: Image, packages: Iterable[Package], distribu
         type=ComponentType.CONTAINER,
         bom_ref=recipe.reference,
         description=recipe.title,
-        licenses=[licences.make_from_string(recipe.license)],
+        licenses=[LicenseFactory().make_from_string(recipe.license)],
         hashes=[HashType(alg=HashAlgorithm.SHA_256, content=image.identity.removeprefix("sha256:"))],
     )
+    return listing(root, f"{recipe.reference}@{image.identity}", packages, distribution)
+
+
+def listing(root: Component, identity: str, packages: Iterable[Package], distribution: str = "") -> str:
+    """Return the CycloneDX 1.6 document of something as JSON; it says no time: equal things have equal ones.
+
+    Args:
+        root: The thing.
+        identity: What tells it from all others.
+        packages: What is in it, or what it needs.
+        distribution: As in `read`, where some are packages of one.
+    """
+    from cyclonedx.contrib.license.factories import LicenseFactory
+    from cyclonedx.model.bom import Bom
+    from cyclonedx.model.component import Component, ComponentType
+    from cyclonedx.output.json import JsonV1Dot6
+    from packageurl import PackageURL
+
+    licences = LicenseFactory()
     parts = []
     for package in packages:
         debian = package.kind == "deb"
@@ -120,9 +138,9 @@ def document(recipe: Recipe, image: Image, packages: Iterable[Package], distribu
                 licenses=[licences.make_from_string(package.license)] if package.license else [],
             )
         )
-    bom = Bom(
-        components=parts, serial_number=uuid.uuid5(uuid.NAMESPACE_URL, f"{recipe.reference}@{image.identity}")
-    )
+    bom = Bom(components=parts, serial_number=uuid.uuid5(uuid.NAMESPACE_URL, identity))
     bom.metadata.component = root
     bom.register_dependency(root, parts)
-    return JsonV1Dot6(bom).output_as_string(indent=1) + "\n"
+    made = json.loads(JsonV1Dot6(bom).output_as_string())
+    del made["metadata"]["timestamp"]
+    return json.dumps(made, indent=1) + "\n"

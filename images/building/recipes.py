@@ -48,6 +48,11 @@ class Recipe:
         return f"docker.io/{self.tag}"
 
     @property
+    def file_name(self) -> str:
+        """Begin of the names of files about it."""
+        return self.tag.partition("/")[2].replace(":", "-")
+
+    @property
     def default_base(self) -> str:
         """The base that the Dockerfile names."""
         found = re.search(r"^ARG BASE=(\S+)$", self.dockerfile.read_text(), re.MULTILINE)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import shutil
 import subprocess
 import tarfile
@@ -38,6 +39,19 @@ class Image:
     identity: str
     size: int
     labels: dict[str, str]
+
+
+@dataclass(frozen=True)
+class Manner:
+    """Choices of how images are built.
+
+    Attributes:
+        fresh: Nothing that was built before is taken.
+        timestamp: Time of all files, s since 1970, which makes two builds equal; None for now.
+    """
+
+    fresh: bool = False
+    timestamp: int | None = None
 
 
 class Tool(Protocol):
@@ -101,12 +115,14 @@ class Buildah:
 
     Args:
         logs: Folder for what the builds print.
+        manner: How it builds.
     """
 
     name = "buildah"
 
-    def __init__(self, logs: Path) -> None:
+    def __init__(self, logs: Path, manner: Manner = Manner()) -> None:
         self._logs = logs
+        self._manner = manner
 
     @staticmethod
     def works() -> bool:
@@ -131,8 +147,10 @@ class Buildah:
 
     def build(self, recipe: Recipe, base: str, labels: dict[str, str]) -> None:
         """Build an image and tag it, reaching the package registries as this machine does."""
-        command = ["buildah", "bud", "--layers", "--force-rm", "--isolation", "chroot"]
-        command += ["--build-arg", f"BASE={base}"]
+        command = ["buildah", "bud", "--no-cache" if self._manner.fresh else "--layers", "--force-rm"]
+        command += ["--isolation", "chroot", "--build-arg", f"BASE={base}"]
+        if self._manner.timestamp is not None:
+            command += ["--timestamp", str(self._manner.timestamp)]
         for path in (AUTHORITIES, PIP_SETTINGS):
             command += ["--volume", f"{path}:{path}:ro"] if path.exists() else []
         for key, value in labels.items():
@@ -176,12 +194,19 @@ class Docker:
 
     Args:
         logs: Folder for what the builds print.
+        manner: How it builds.
+
+    Raises:
+        BuildError: files were to have one time, which builders of docker do in ways of their own.
     """
 
     name = "docker"
 
-    def __init__(self, logs: Path) -> None:
+    def __init__(self, logs: Path, manner: Manner = Manner()) -> None:
+        if manner.timestamp is not None:
+            raise BuildError("--timestamp takes buildah: images/build --tool buildah")
         self._logs = logs
+        self._manner = manner
 
     @staticmethod
     def works() -> bool:
@@ -205,6 +230,7 @@ class Docker:
     def build(self, recipe: Recipe, base: str, labels: dict[str, str]) -> None:
         """Build an image and tag it."""
         command = ["docker", "build", "--build-arg", f"BASE={base}"]
+        command += ["--no-cache"] if self._manner.fresh else []
         for key, value in labels.items():
             command += ["--label", f"{key}={value}"]
         command += ["-f", str(recipe.dockerfile), "-t", recipe.tag, str(recipe.context)]
@@ -238,12 +264,18 @@ def _bytes(text: str) -> int:
     return int(float(number) * {"B": 1, "KB": 1e3, "MB": 1e6, "GB": 1e9}[unit.upper()])
 
 
-def choose(name: str | None, logs: Path) -> Tool:
+def machine() -> str:
+    """Return the architecture of this machine as images name it; what is built here is for it."""
+    return {"x86_64": "amd64", "aarch64": "arm64"}.get(platform.machine(), platform.machine())
+
+
+def choose(name: str | None, logs: Path, manner: Manner = Manner()) -> Tool:
     """Return the program to build with.
 
     Args:
         name: `docker` or `buildah`; None takes what works.
         logs: Folder for what the builds print.
+        manner: How it builds.
 
     Raises:
         BuildError: none works here.
@@ -252,7 +284,7 @@ def choose(name: str | None, logs: Path) -> Tool:
     for kind in kinds.values() if name is None else [kinds[name]]:
         if kind.works():
             logs.mkdir(parents=True, exist_ok=True)
-            return kind(logs)
+            return kind(logs, manner)
     if name is not None:
         raise BuildError(f"{name} doesn't work here: `{name} info` says why")
     raise BuildError(

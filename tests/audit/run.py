@@ -24,7 +24,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 PINNED = [ROOT / "constraints.txt", ROOT / "constraints-demo.txt", ROOT / "images" / "hatchling.txt"]
 PINNED += sorted(path for path in (ROOT / "images").rglob("requirements.txt") if not path.is_symlink())
-PINNED += sorted((ROOT / "operator/slamhive/playback").glob("*.txt"))
+PINNED += [*sorted((ROOT / "operator/slamhive/playback").glob("*.txt")), ROOT / "tests/reporting/rerun.txt"]
 MANIFESTS = [ROOT / "operator/slamhive/dashboard/static/vendor/manifest.json"]
 MANIFESTS += [ROOT / "tests/dashboard_pages/vendor/manifest.json"]
 LOCK = ROOT / "tests/javascript/package-lock.json"

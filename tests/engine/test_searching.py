@@ -4,8 +4,10 @@
 import random
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from slamhive.engine import RunSeen, best_of, decide_search
+from slamhive.engine import RunSeen, SearchDecider, best_of, decide_search
 from slamhive.model.search import Search, Trial
 
 
@@ -58,6 +60,33 @@ def test_poor_settings_get_few_runs_and_the_best_gets_all() -> None:
 def test_what_is_run_and_told_follows_from_results_not_from_their_order(seed: int) -> None:
     one_by_one = go_through(asked())
     assert go_through(asked(), random.Random(seed)) == (one_by_one[0], one_by_one[1])
+
+
+ENDS = st.sampled_from(
+    [RunSeen(has_failed=True), RunSeen(), *(RunSeen(values=(one / 4, 1.0)) for one in range(6))]
+)
+
+
+@given(st.data(), st.sampled_from([1, 2, 4]), st.integers(1, 5), st.integers(1, 2))
+def test_decisions_that_go_on_are_those_made_from_the_beginning(
+    data: st.DataObject, keep: int, at_a_time: int, objectives: int
+) -> None:
+    """Results come in any order and several at a time; trials are known before, or asked for one by one."""
+    metrics = [{"metric": name} for name in ("a", "b")[:objectives]]
+    search = asked(method="NSGA-II", keep=keep, atATime=at_a_time, objectives=metrics)
+    trials = [Trial(values=[number]) for number in range(data.draw(st.integers(0, 4)))]
+    runs: dict[int, RunSeen] = {}
+    decider = SearchDecider(search, Rows())
+    while True:
+        decision = decider.decide(trials, runs, 12)
+        assert decision == decide_search(search, Rows(), trials, dict(runs), 12)
+        if decision.is_over:
+            return
+        if decision.told is not None:
+            trials.append(Trial(values=[len(trials)], told=decision.told))
+            continue
+        for index in data.draw(st.lists(st.sampled_from(decision.wanted), min_size=1, unique=True)):
+            runs[index] = data.draw(ENDS)
 
 
 def test_a_setting_is_proposed_by_what_was_known_before_those_under_way() -> None:

@@ -34,7 +34,7 @@ def sought(plan: SearchPlan, run: Callable[[Any], RunSeen], order: random.Random
     """Run a search to its end, results coming in some order; returns the runs by index."""
     runs: dict[int, RunSeen] = {}
     while True:
-        decision = decide(plan.sweep.spec.search, plan, runs)
+        decision = decide(plan, runs)
         if decision.is_over:
             return runs
         for trial in decision.draws:
@@ -103,7 +103,7 @@ def test_a_search_goes_on_from_its_trials_as_if_it_had_not_been_killed() -> None
         for trial in plan.trials[:count]:
             again.draw(trial)
         known = {index: run for index, run in runs.items() if index < count * again.space.block}
-        draws = decide(again.sweep.spec.search, again, known).draws
+        draws = decide(again, known).draws
         assert list(draws) == plan.trials[count : count + len(draws)]
 
 

@@ -3,7 +3,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
+import os
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +16,7 @@ import pytest
 
 from slamhive.archive import Archive
 from slamhive.cli.main import main
+from slamhive.local.home.folder import lock
 from slamhive.model.results import Outcome, Phase, Reason, Result, RunRecord
 
 if TYPE_CHECKING:
@@ -32,6 +37,47 @@ def of_file(name: str, path: Path) -> ModuleType:
         sys.modules[name] = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(sys.modules[name])
     return sys.modules[name]
+
+
+@pytest.fixture(scope="session")
+def rerun_packages() -> Path:
+    """A folder with Rerun that outlives the session: 500 MB, in half a minute."""
+    listed = Path(__file__).with_name("rerun.txt")
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "slamhive-tests"
+    folder = cache / f"rerun-{hashlib.sha256(listed.read_bytes()).hexdigest()[:8]}"
+    with lock(cache / "rerun.lock"):
+        if not folder.exists():
+            made = folder.with_suffix(".making")
+            words = ["pip", "install", "--quiet", "--python", sys.executable, "--target", made]
+            words += ["--no-deps", "--require-hashes", "-r", listed]
+            try:
+                subprocess.run(
+                    [Path(sys.prefix) / "bin" / "uv", *words], check=True, capture_output=True, timeout=600
+                )
+            except (OSError, subprocess.SubprocessError) as error:
+                shutil.rmtree(made, ignore_errors=True)
+                pytest.skip(f"Rerun can't be installed here: {getattr(error, 'stderr', error)}")
+            made.rename(folder)
+    return folder
+
+
+@pytest.fixture
+def rerun(rerun_packages: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
+    """Makes Rerun's library importable; runs its own command on files and returns what it says."""
+    monkeypatch.syspath_prepend(rerun_packages)
+
+    def call(*words: str | Path) -> str:
+        done = subprocess.run(
+            [sys.executable, "-m", "rerun", "rrd", *words],
+            capture_output=True,
+            text=True,
+            check=False,
+            env=os.environ | {"PYTHONPATH": str(rerun_packages)},
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout + done.stderr
+
+    return call
 
 
 def result(evaluation: str = "se3", outcome: Outcome = Outcome.TRACKED, **values: Any) -> Result:

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import subprocess
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -18,12 +16,9 @@ from slamhive.model.extras import how_to_install
 from slamhive.model.results import Outcome, Phase, Result, RunRecord
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
-needs_rerun = pytest.mark.skipif(
-    importlib.util.find_spec("rerun") is None,
-    reason="rerun isn't installed, as it takes 500 MB: pip install rerun-sdk",
-)
 COUNT, START = 20, 1_600_000_000
 
 
@@ -66,17 +61,9 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def rerun(*words: str) -> str:
-    """Return the words of Rerun's own command on a file."""
-    done = subprocess.run(
-        [sys.executable, "-m", "rerun", "rrd", *words], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout + done.stderr
-
-
-@needs_rerun
-def test_rerun_loads_truth_estimate_error_images_and_usage(place: Path, run_command: Any) -> None:
+def test_rerun_loads_truth_estimate_error_images_and_usage(
+    rerun: Callable[..., str], place: Path, run_command: Any
+) -> None:
     code, out, err = run_command("view", "study-0", "--save", "run.rrd")
     assert (code, err) == (0, "")
     assert "Next:  rerun run.rrd" in out
@@ -94,8 +81,7 @@ def test_rerun_loads_truth_estimate_error_images_and_usage(place: Path, run_comm
     assert "study-0" in printed
 
 
-@needs_rerun
-def test_what_is_missing_is_said(place: Path, run_command: Any) -> None:
+def test_what_is_missing_is_said(rerun: Callable[..., str], place: Path, run_command: Any) -> None:
     (place / "home" / "variants" / "v" / "recording.bag").unlink()
     (place / "home" / "groundtruth" / "hall.txt").unlink()
     code, _, err = run_command("view", "uid-0", "--save", "run.rrd")
@@ -105,8 +91,9 @@ def test_what_is_missing_is_said(place: Path, run_command: Any) -> None:
     assert rerun("verify", "run.rrd") is not None
 
 
-@needs_rerun
-def test_a_run_leads_to_no_file_of_its_own_choice(place: Path, run_command: Any) -> None:
+def test_a_run_leads_to_no_file_of_its_own_choice(
+    rerun: Callable[..., str], place: Path, run_command: Any
+) -> None:
     link = place / "home" / "runs" / "study" / "study-0" / "run" / "dataset"
     (place / "home" / "variants" / "v").rename(place / "elsewhere")
     link.unlink()
@@ -114,8 +101,7 @@ def test_a_run_leads_to_no_file_of_its_own_choice(place: Path, run_command: Any)
     assert "its prepared recording is gone" in run_command("view", "uid-0", "--save", "run.rrd")[2]
 
 
-@needs_rerun
-def test_a_run_without_files_is_refused(place: Path, run_command: Any) -> None:
+def test_a_run_without_files_is_refused(rerun: Callable[..., str], place: Path, run_command: Any) -> None:
     code, _, err = run_command("view", "gone", "--save", "run.rrd")
     assert (code, err.strip()) == (2, "error: run gone: its files are not here, so there is nothing to show")
     assert not (place / "run.rrd").exists()

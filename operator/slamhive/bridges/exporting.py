@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def export(
     frame: Frame, target: BridgeTarget, folder: Path, source: Here, tell: Callable[[int], Any]
-) -> tuple[int, int, dict[str, str]]:
+) -> tuple[int, int, dict[str, str], dict[str, int]]:
     """Write the runs of a table into another program's folder.
 
     Args:
@@ -30,13 +30,13 @@ def export(
         tell: told of each run that is done.
 
     Returns:
-        How many runs were written, how many were there as they are, and what is in the place of names that
-        the program refuses.
+        How many runs were written, how many were there as they are, what is in the place of names that the
+        program refuses, and sentences on what is missing, each with the number of runs.
 
     Raises:
         InputError: the program's library isn't installed.
     """
-    writer = importlib.import_module(f"slamhive.bridges.{target}").Writer(folder)
+    writer = importlib.import_module(f"slamhive.bridges.{target}").Writer(folder, source)
     new = same = 0
     try:
         for run in handed(frame, source):
@@ -47,7 +47,7 @@ def export(
             tell(new + same)
     finally:
         writer.close()
-    return new, same, writer.names.changed
+    return new, same, writer.names.changed, getattr(writer, "missing", {})
 
 
 def next_step(target: BridgeTarget, folder: Path) -> str:

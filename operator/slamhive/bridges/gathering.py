@@ -65,6 +65,7 @@ class Handed:
         series: usage over time: ``t`` (s since the start), ``cpu`` (cores), ``memory`` (bytes).
         files: paths of its files.
         failed: whether it failed.
+        evaluations: those that its figures are of.
     """
 
     uid: str
@@ -78,6 +79,7 @@ class Handed:
     series: Mapping[str, Sequence[float]] = field(default_factory=dict)
     files: list[str] = field(default_factory=list)
     failed: bool = False
+    evaluations: list[str] = field(default_factory=list)
 
     @property
     def short(self) -> str:
@@ -170,6 +172,7 @@ def _take(one: Handed, row: Mapping[str, Any], kinds: Mapping[str, ColumnKind], 
     """Take in the figures of one evaluation."""
     evaluation = row.get("evaluation")
     prefix = f"{evaluation}/" if several and evaluation else ""
+    one.evaluations += [str(evaluation)] if evaluation else []
     for name, value in row.items():
         if kinds[name] not in {ColumnKind.NUMBER, ColumnKind.INTEGER} or _is_of(name, _NO_FIGURES):
             continue

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from slamhive.bridges.gathering import Handed
+    from slamhive.bridges.places import Here
 
 DATABASE = "mlflow.db"
 NEXT = "mlflow ui --backend-store-uri sqlite:///{folder}/mlflow.db"
@@ -47,7 +48,7 @@ class Writer:
         names: those of settings, figures and tags that MLflow refuses.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, _source: Here) -> None:
         os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
         library("alembic", "mlflow", "--to mlflow")
         tracking = library("mlflow.tracking", "mlflow", "--to mlflow")

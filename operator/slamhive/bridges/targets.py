@@ -12,3 +12,4 @@ class BridgeTarget(Choice):
     TENSORBOARD = "tensorboard"
     MLFLOW = "mlflow"
     WANDB = "wandb"
+    RERUN = "rerun"

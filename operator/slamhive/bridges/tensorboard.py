@@ -16,6 +16,7 @@ from slamhive.model.extras import library
 
 if TYPE_CHECKING:
     from slamhive.bridges.gathering import Handed
+    from slamhive.bridges.places import Here
 
 MARK = "slamhive.json"
 NEXT = "tensorboard --logdir {folder}"
@@ -31,7 +32,7 @@ class Writer:
         names: those of figures that TensorBoard would replace, two by one name.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, _source: Here) -> None:
         self.names = FittedNames(lambda name: re.sub(r"[^-/\w.]", "_", name).lstrip("/"), settings=False)
         self._library = library("tensorboardX", "tensorboard", "--to tensorboard")
         self._folder = folder

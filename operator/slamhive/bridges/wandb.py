@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from slamhive.bridges.gathering import Handed
+    from slamhive.bridges.places import Here
 
 NEXT = "wandb sync {folder}/wandb/offline-run-*"
 MARK = "slamhive.json"
@@ -36,7 +37,7 @@ class Writer:
 
     names = FittedNames(str)
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, _source: Here) -> None:
         os.environ.setdefault("WANDB_ERROR_REPORTING", "false")
         self._wandb = library("wandb", "wandb", "--to wandb")
         self._folder = folder

@@ -327,13 +327,15 @@ def _hand_over(to: BridgeTarget, output: Path | None, selection: Selection, unus
         done = lambda count: work.count(count, total)  # noqa: E731
         if total:
             with Here.open(home.archive_url, home.path) as here:
-                new, same, renamed = export(chosen.frame, to, output, here, done)
+                new, same, renamed, missing = export(chosen.frame, to, output, here, done)
         else:
-            new, same, renamed = 0, 0, {}
+            new, same, renamed, missing = 0, 0, {}, {}
     out.print(f"{output}: {plural(new, 'run')} written, {same} there already", soft_wrap=True, markup=False)
     if renamed:
         names = [f"{new_name} for {name}" for name, new_name in renamed.items()]
         remark(f"{to} takes no such names, which are in tags: {listing(names)}")
+    for note, count in missing.items():
+        remark(f"{plural(count, 'run')}: {note}")
     _remark(chosen)
     if total:
         out.print(f"Next:  {next_step(to, output)}", soft_wrap=True, markup=False)

@@ -7,7 +7,7 @@ Workstation and operator share it.
 the actions that lead on. The workstation's runner and the operator drive the same functions.
 """
 
-from slamhive.engine.deciding import decide
+from slamhive.engine.deciding import NextSteps, decide
 from slamhive.engine.reuse import taken_over
 from slamhive.engine.run import (
     AttemptEnd,
@@ -28,6 +28,7 @@ from slamhive.engine.run import (
 from slamhive.engine.searching import (
     RunSeen,
     Score,
+    SearchDecider,
     SearchDecision,
     TrialStanding,
     asked_next,
@@ -51,6 +52,7 @@ __all__ = [
     "Decision",
     "Evaluate",
     "Finish",
+    "NextSteps",
     "PointState",
     "Prepare",
     "RunAction",
@@ -58,6 +60,7 @@ __all__ = [
     "RunSeen",
     "RunState",
     "Score",
+    "SearchDecider",
     "SearchDecision",
     "Start",
     "StartPoints",

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """State machine of a search: which runs of which settings are wanted, and whether another one is proposed.
 
-``decide_search`` is pure and follows from results alone, never from the order in which they came, so that a
+``SearchDecider`` follows from results alone, never from the order in which they came, so that a
 search that was killed goes on as if it had not been, on a workstation as on a cluster.
 
 A setting's runs are done in steps: at first those that every setting gets, on the first dataset; then, of one
@@ -123,6 +123,7 @@ class SearchDecision:
         told: the next setting is to be asked of the sampler, which is told the results of all trials below
             this number; None: not now.
         standings: where each trial stands.
+        first_open: number of the first trial that isn't decided, or of the next one where all are.
         is_over: whether nothing more is wanted or proposed.
         message: a sentence on how it ended.
     """
@@ -131,62 +132,102 @@ class SearchDecision:
     draws: tuple[Trial, ...] = ()
     told: int | None = None
     standings: tuple[TrialStanding, ...] = ()
+    first_open: int = 0
     is_over: bool = False
     message: str = ""
+
+
+class SearchDecider:
+    """Decisions on a search under way, each by what is new and what is open: what was decided costs nothing.
+
+    What it keeps follows from trials and runs: another one that is given these decides the same.
+
+    Args:
+        search: its settings.
+        layout: which runs a setting has.
+    """
+
+    def __init__(self, search: Search, layout: RunLayout) -> None:
+        self._search = search
+        self._layout = layout
+        self._steps = _steps(search, layout)
+        self._order = _order(search, layout)
+        self._standings: list[TrialStanding] = []
+        self._open: list[int] = []
+        # Of each step: the scores so far, and the first trial that is not compared yet, but may be.
+        self._rankings = [_TrialRanking() for _ in self._steps]
+        self._next = [0] * len(self._steps)
+
+    def decide(self, trials: Sequence[Trial], runs: Mapping[int, RunSeen], most: int) -> SearchDecision:
+        """Decide what the search does next.
+
+        The standings of a decision go on with those of later ones.
+
+        Args:
+            trials: the settings so far, by number: those of the last time, and further ones.
+            runs: the runs that have ended, by index: those of the last time as they were, and further ones.
+            most: trials at most.
+        """
+        for number in range(len(self._standings), len(trials)):
+            self._standings.append(TrialStanding(number))
+            self._open.append(number)
+        for step in range(len(self._steps)):
+            self._go_on(step, runs)
+        standings = self._standings
+        self._open = [number for number in self._open if not standings[number].is_decided]
+        # By number, and of each in the order in which its runs are done.
+        wanted = [
+            index
+            for number in self._open
+            for index in self._indices(number, len(standings[number].scores))
+            if index not in runs
+        ]
+        first_open = self._open[0] if self._open else len(standings)
+        told = asked_next(self._search, len(standings), first_open, most)
+        is_over = not self._open and told is None
+        message = _ended(standings) if is_over else ""
+        return SearchDecision(tuple(wanted), (), told, tuple(standings), first_open, is_over, message)
+
+    def _go_on(self, step: int, runs: Mapping[int, RunSeen]) -> None:
+        """Compare what can be compared after a step.
+
+        One after another, so that each is compared with those before it, whichever ended first.
+        """
+        while self._next[step] < len(self._standings):
+            standing = self._standings[self._next[step]]
+            if not standing.is_decided:
+                indices = self._indices(standing.number, step)
+                if len(standing.scores) < step or any(index not in runs for index in indices):
+                    return
+                score = _score(self._search, self._layout, self._order, [runs[index] for index in indices])
+                block = self._layout.block
+                sizes = {"size": self._steps[step], "block": block, "keep": self._search.keep}
+                _compare(standing, score, self._rankings[step], **sizes)
+                standing.is_complete = self._steps[step] == block and standing.dropped is None
+            self._next[step] += 1
+
+    def _indices(self, number: int, step: int) -> list[int]:
+        """Return the indices of the runs that a trial has after a step, in the order of their starts."""
+        return [number * self._layout.block + offset for offset in self._order[: self._steps[step]]]
 
 
 def decide_search(
     search: Search, layout: RunLayout, trials: Sequence[Trial], runs: Mapping[int, RunSeen], most: int
 ) -> SearchDecision:
-    """Decide what a search by a sampler does next.
-
-    Args:
-        search: its settings.
-        layout: which runs a setting has.
-        trials: the settings so far, by number.
-        runs: the runs that have ended, by index.
-        most: trials at most.
-    """
-    steps, order = _steps(search, layout), _order(search, layout)
-    places = {offset: place for place, offset in enumerate(order)}
-    standings = [TrialStanding(number) for number in range(len(trials))]
-    wanted: list[int] = []
-    for step, size in enumerate(steps):
-        # One after another, so that each is compared with those before it, whichever ended first.
-        compared: _TrialRanking | None = _TrialRanking()
-        for standing in standings:
-            if standing.is_decided or len(standing.scores) < step:
-                compared = None if not standing.is_decided else compared
-                continue
-            indices = [standing.number * layout.block + offset for offset in order[:size]]
-            missing = [index for index in indices if index not in runs]
-            if missing:
-                wanted += missing
-                compared = None
-                continue
-            if compared is None:
-                continue
-            score = _score(search, layout, order, [runs.get(index) for index in indices])
-            _compare(standing, score, compared, size=size, block=layout.block, keep=search.keep)
-            standing.is_complete = size == layout.block and standing.dropped is None
-    told = asked_next(search, standings, most)
-    is_over = not wanted and told is None and all(one.is_decided for one in standings)
-    wanted.sort(key=lambda index: (index // layout.block, places[index % layout.block]))
-    message = _ended(standings) if is_over else ""
-    return SearchDecision(tuple(wanted), (), told, tuple(standings), is_over, message)
+    """Decide what a search by a sampler does next; arguments as of a SearchDecider."""
+    return SearchDecider(search, layout).decide(trials, runs, most)
 
 
-def asked_next(search: Search, standings: Sequence[TrialStanding], most: int) -> int | None:
+def asked_next(search: Search, count: int, first_open: int, most: int) -> int | None:
     """Return the number of trials that the sampler is told of for the next one; None: none is asked for now.
 
     Args:
         search: its settings.
-        standings: where each trial stands.
+        count: number of trials so far.
+        first_open: number of the first one that isn't decided; of a further one where all are.
         most: trials at most.
     """
-    count = len(standings)
-    decided = next((one.number for one in standings if not one.is_decided), count)
-    may_ask = count < most and count - decided < search.at_a_time
+    may_ask = count < most and count - first_open < search.at_a_time
     return max(0, count + 1 - search.at_a_time) if may_ask else None
 
 
@@ -239,9 +280,7 @@ def _compare(
         standing.dropped = f"after {size} of {block} runs {better} of {others} were better"
 
 
-def _score(
-    search: Search, layout: RunLayout, order: Sequence[int], seen: Sequence[RunSeen | None]
-) -> Score | None:
+def _score(search: Search, layout: RunLayout, order: Sequence[int], seen: Sequence[RunSeen]) -> Score | None:
     """Return the figures of a setting: means over its repetitions, then over contexts their mean or worst.
 
     Runs of which nothing is known are left out; failed ones count in the share alone. None: nothing is known.
@@ -249,7 +288,7 @@ def _score(
     by_context: dict[int, list[tuple[float, ...]]] = {}
     failed = known = 0
     for offset, run in zip(order, seen, strict=False):
-        if run is None or not run.is_known:
+        if not run.is_known:
             continue
         known += 1
         failed += run.has_failed
@@ -299,15 +338,13 @@ def _growing(search: Search, layout: RunLayout) -> Iterator[int]:
 
 def best_of(standings: Sequence[TrialStanding]) -> list[TrialStanding]:
     """Return the trials with all their runs that no other one dominates, the best of one objective first."""
-    complete = [
-        one for one in standings if one.is_complete and one.score is not None and one.score.failed < 1
-    ]
-    front = [
-        one
-        for one in complete
-        if not any(other.score.dominates(one.score) for other in complete if other.score and one.score)
-    ]
-    return sorted(front, key=lambda one: (one.score.values if one.score else (), one.number))
+    scored = [(one.score, one) for one in standings if one.is_complete and one.score is not None]
+    front: list[tuple[Score, TrialStanding]] = []
+    for score, one in sorted(scored, key=lambda pair: (pair[0], pair[1].number)):
+        # Who dominates another one comes before it.
+        if score.failed < 1 and not any(other.dominates(score) for other, _ in front):
+            front.append((score, one))
+    return [one for _, one in sorted(front, key=lambda pair: (pair[0].values, pair[1].number))]
 
 
 def _ended(standings: Sequence[TrialStanding]) -> str:

@@ -113,7 +113,7 @@ def decide_threshold(
     standings = tuple(_standing(number, one) for number, one in enumerate(judged))
     is_over = not wanted and not draws
     message = f"{len(space.series)} thresholds were sought by {len(trials)} values" if is_over else ""
-    return SearchDecision(wanted, tuple(draws), None, standings, is_over, message)
+    return SearchDecision(wanted, tuple(draws), standings=standings, is_over=is_over, message=message)
 
 
 def tallies(

@@ -316,7 +316,7 @@ def tell(plan: SearchPlan, told: SearchRecord | None, frame: Frame) -> SearchSto
     runs = frame.select(first_rows(frame))
     done = where_equal(runs, "phase", Phase.SUCCEEDED) | where_equal(runs, "phase", Phase.FAILED)
     ended = _EndedRuns.of(runs.select(done & runs.column("index").present), search, block * len(plan.trials))
-    decision = decide(search, plan, ended.seen)
+    decision = decide(plan, ended.seen)
     best = {one.number for one in best_of(decision.standings)} if search.objectives else set()
     trials = tuple(_tried(plan, standing, ended, standing.number in best) for standing in decision.standings)
     influences, compared = _influences(plan, trials)

@@ -17,13 +17,13 @@ from pydantic import ValidationError
 from slamhive.analysis.searches.seen import runs_seen
 from slamhive.contract.settled import is_settled
 from slamhive.engine import (
+    NextSteps,
     PointState,
     RunSeen,
     SearchDecision,
     TrialStanding,
     asked_next,
     best_of,
-    decide,
 )
 from slamhive.kube.api.encoding import encode
 from slamhive.kube.records import record_of
@@ -71,8 +71,10 @@ class SearchMemory:
     seen: dict[int, RunSeen] = field(default_factory=dict)
     copied: tuple[int, int] | None = None
     problem: str | None = None
-    _news: int = 0
-    _decided: tuple[tuple[int, int, bool], SearchDecision] | None = None
+
+    def __post_init__(self) -> None:
+        """Begin with nothing decided."""
+        self._next_steps = NextSteps(self.plan)
 
     @property
     def search(self) -> Search:
@@ -82,10 +84,7 @@ class SearchMemory:
     @property
     def decision(self) -> SearchDecision:
         """Return the decision on the next steps; it takes a moment where something has changed."""
-        mark = (self._news, len(self.plan.trials), self.plan.is_exhausted)
-        if self._decided is None or self._decided[0] != mark:
-            self._decided = mark, decide(self.search, self.plan, self.seen)
-        return self._decided[1]
+        return self._next_steps.after(self.seen)
 
     def draw(self, trial: Trial, states: bytearray) -> None:
         """Take in a trial that is written down; its runs are pending."""
@@ -111,11 +110,13 @@ class SearchMemory:
         if not records:
             return
         try:
-            self.seen |= runs_seen(records, self.search)
+            found = runs_seen(records, self.search)
         except InputError as error:  # an objective has a value that is no number
             self.problem = str(error)
             return
-        self._news += 1
+        if any(self.seen.get(index, one) != one for index, one in found.items()):
+            self._next_steps.forget()
+        self.seen |= found
 
     def note_gone(self, index: int, run: Object) -> None:
         """Take note of a run whose object is gone, as it was in the end."""
@@ -133,7 +134,7 @@ class SearchMemory:
         for index in self.seen.keys() & runs.keys():
             if states[index] == PointState.ACTIVE:  # it was thought to be gone
                 del self.seen[index]
-                self._news += 1
+                self._next_steps.forget()
         self.note(
             {
                 index: record_of(one.run)
@@ -148,7 +149,6 @@ class SearchMemory:
         ]:
             # Done, and neither object nor record is left.
             self.seen |= dict.fromkeys(lost, RunSeen())
-            self._news += 1
 
     def wanted(self, states: bytearray) -> list[int]:
         """Return the points that are to be started, in their order."""
@@ -216,7 +216,7 @@ class Asker:
             trials.append(found[-1])
             # Its number alone is new: who is told what does not wait for another look at all runs.
             standings.append(TrialStanding(len(standings)))
-            told = asked_next(memory.search, standings, plan.most_trials)
+            told = asked_next(memory.search, len(standings), decision.first_open, plan.most_trials)
         return found
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.engine import RunSeen, decide
+from slamhive.engine import NextSteps, RunSeen
 from slamhive.model.search import Trial
 
 if TYPE_CHECKING:
@@ -26,7 +26,8 @@ def likely_runs(plan: SearchPlan) -> tuple[SearchPlan, list[int]]:
     played, search = plan.with_trials(plan.trials), plan.sweep.spec.search
     rng = np.random.default_rng(search.seed)
     seen: dict[int, RunSeen] = {}
-    while not (decision := decide(search, played, seen)).is_over:
+    next_steps = NextSteps(played)
+    while not (decision := next_steps.after(seen)).is_over:
         for trial in decision.draws:
             played.draw(trial)
         if decision.told is not None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from slamhive.analysis.searches.seen import runs_seen
 from slamhive.archive.known import known_trials
-from slamhive.engine import PointState, RunSeen, SearchDecision, best_of, decide
+from slamhive.engine import NextSteps, PointState, RunSeen, SearchDecision, best_of
 from slamhive.model.canonical import normalize
 from slamhive.model.errors import InputError
 from slamhive.model.search import SearchRecord, Trial
@@ -48,7 +48,7 @@ class SearchUnderWay:
         self._uid = uid
         self._run_uid = run_uid
         self._best: tuple[SearchDecision, list[TrialStanding]] | None = None
-        self._decided: tuple[tuple[int, int, bool], SearchDecision] | None = None
+        self._next_steps = NextSteps(plan)
 
     @property
     def search(self) -> Search:
@@ -58,10 +58,7 @@ class SearchUnderWay:
     @property
     def decision(self) -> SearchDecision:
         """Return the decision on the next steps; it takes a moment where something has changed."""
-        mark = (len(self.seen), len(self.plan.trials), self.plan.is_exhausted)
-        if self._decided is None or self._decided[0] != mark:
-            self._decided = mark, decide(self.search, self.plan, self.seen)
-        return self._decided[1]
+        return self._next_steps.after(self.seen)
 
     @property
     def best(self) -> list[TrialStanding]:
