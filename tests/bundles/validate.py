@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Validates a crate without a network: ``python validate.py CRATE.zip``, in an environment with roc-validator.
+"""Validates a crate without a network: ``python validate.py CRATE.zip``, where roc-validator is installed.
 
 The JSON-LD context, which the validator asks the network for, is put into its cache from the copy beside this
 file (RO-Crate 1.1.3, CC0).

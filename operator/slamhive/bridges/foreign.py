@@ -144,6 +144,7 @@ def take_trajectories(
     order: TrajectoryOrder,
     files: Sequence[Path],
     truth: GroundTruthPoses,
+    *,
     dataset: CatalogEntry,
     step: Callable[[int, int], None] = lambda *_: None,
 ) -> TrajectoriesTaken:
@@ -324,7 +325,7 @@ def _measured(question: tuple[Any, ...], given: dict[str, Any]) -> tuple[Result,
     path, form, times, offset, settings, subject = question
     truth = given["truth"]
     try:
-        estimate = _on_clock(path, read_trajectory(path, form, times=times, unsorted="sort"), truth)
+        estimate = _on_clock(read_trajectory(path, form, times=times, unsorted="sort"), truth)
         if offset:
             estimate = Trajectory(
                 estimate.stamps + offset,
@@ -342,8 +343,8 @@ def _measured(question: tuple[Any, ...], given: dict[str, Any]) -> tuple[Result,
         return DataError(f"{path}: {error}")
 
 
-def _on_clock(path: Path, estimate: Trajectory, truth: Any) -> Trajectory:
-    """Return poses with stamps; those of KITTI are frames of the ground truth unless a file gives their times.
+def _on_clock(estimate: Trajectory, truth: Any) -> Trajectory:
+    """Return poses with stamps; those of KITTI are frames of the ground truth without a file of times.
 
     Raises:
         DataError: there are others than the ground truth has.
@@ -355,15 +356,15 @@ def _on_clock(path: Path, estimate: Trajectory, truth: Any) -> Trajectory:
     counted = estimate.stamped_by == "line" and len(frames) != len(stamps)
     if counted or frames.min() < 0 or frames.max() >= len(stamps):
         raise DataError(
-            f"its {len(estimate)} poses have no time stamps, and the ground truth has {len(stamps)} poses: they "
-            "can't be told by their number; --times FILE gives a stamp for each"
+            f"its {len(estimate)} poses have no time stamps, and the ground truth has {len(stamps)} poses: "
+            "they can't be told by their number; --times FILE gives a stamp for each"
         )
     at = partial(Trajectory, stamps[frames], estimate.positions, estimate.quaternions)
     return at(rotations=estimate.rotations, oriented=estimate.oriented)
 
 
 def _offset_hint(estimate: Trajectory, truth: Any, offset: float) -> str:
-    """Say by how much the stamps are off: of poses in the same time by their neighbours, else by their begin."""
+    """Say by how much stamps are off: by the nearest poses where both are of one time, else by the first."""
     stamps = getattr(truth, "stamps", None)
     if stamps is None:
         return ""
@@ -374,9 +375,8 @@ def _offset_hint(estimate: Trajectory, truth: Any, offset: float) -> str:
         if at is not None and len(inside):
             before, after = stamps[at - 1] - inside, stamps[at] - inside
             nearest = float(np.median(np.where(np.abs(before) < after, before, after)))
-            return f"; the nearest one is {nearest:+.6f} s off: --offset {offset + nearest:.6f} if that is a delay"
+            told = f"{nearest:+.6f} s off: --offset {offset + nearest:.6f} if that is a delay"
+            return f"; the nearest one is {told}"
     first = float(stamps[0] - estimate.stamps[0])
-    return (
-        f"; from first pose to first pose the offset is {first:+.6f} s: --offset {offset + first:.6f} if both "
-        "begin at once"
-    )
+    told = f"--offset {offset + first:.6f} if both begin at once"
+    return f"; from first pose to first pose the offset is {first:+.6f} s: {told}"

@@ -96,7 +96,7 @@ COMMANDS = {
     "verify": _Command(
         "sharing.bundles",
         "verify_bundle",
-        "Compute every figure of a bundle again from its trajectories, and say what agrees to the last digit.",
+        "Compute every figure of a bundle again from its trajectories: what agrees to the last digit?",
     ),
     "submit": _Command(
         "cluster.commands", "submit", "Send sweeps, runs and what they need to a cluster, which runs them."

@@ -101,24 +101,30 @@ def make_crate(study: Study, runs: Sequence[BundledRun], files: Mapping[str, Pat
         )
         for one in study.datasets
     }
+    by_run: dict[str, list[str]] = {}
+    for name in sorted(files):
+        if name.startswith("runs/"):
+            by_run.setdefault(name.split("/")[1], []).append(name)
     root["mentions"] = [
-        _add_action(crate, add, run, programs[run.algorithm], recordings[run.dataset], files) for run in runs
+        add(
+            f"#run-{run.record.name}",
+            instrument=programs[run.algorithm],
+            object=[recordings[run.dataset]],
+            result=[crate.dereference(name) for name in by_run.get(run.record.name, ())],
+            **_action(run),
+        )
+        for run in runs
     ]
     return crate
 
 
-def _add_action(
-    crate: Any, add: Any, run: BundledRun, program: Any, recording: Any, files: Mapping[str, Path]
-) -> Any:
+def _action(run: BundledRun) -> dict[str, Any]:
+    """Return what is said of a run beside what it took and made."""
     record = run.record
-    folder = f"runs/{record.name}/"
-    of_run = sorted(name for name in files if name.startswith(folder))
+    names = record.spec["algorithmRef"]["name"], record.spec["datasetRef"]["name"]
     fields: dict[str, Any] = {
         "at_type": "CreateAction",
-        "name": f"{record.spec['algorithmRef']['name']} on {record.spec['datasetRef']['name']}: {record.name}",
-        "instrument": program,
-        "object": [recording],
-        "result": [crate.dereference(name) for name in of_run],
+        "name": f"{' on '.join(names)}: {record.name}",
         "actionStatus": f"http://schema.org/{_ENDS.get(record.phase, 'FailedActionStatus')}",
     }
     if record.phase is not Phase.SUCCEEDED:
@@ -127,7 +133,7 @@ def _add_action(
         fields["startTime"] = record.started.isoformat()
     if record.finished:
         fields["endTime"] = record.finished.isoformat()
-    return add(f"#run-{record.name}", **fields)
+    return fields
 
 
 def _description(study: Study, runs: int) -> str:

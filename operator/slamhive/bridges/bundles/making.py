@@ -46,7 +46,7 @@ from slamhive.model.results import Phase
 from slamhive.tables.manifests import manifest, without_nothing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Sequence
 
     from slamhive.archive import CatalogEntry, SweepRecord
     from slamhive.local.running.workbench import Workbench
@@ -193,7 +193,7 @@ class _BundleMaking:
         labels = {} if self._order.anonymous else self._sweep.labels
         self._write_text(contents.SWEEP, manifest("Sweep", self._sweep.name, labels, spec))
         study = self._study(spec)
-        self._write_text(contents.README, _readme(study, self._runs))
+        self._write_text(contents.README, _readme(study, len(self._runs)))
         # The crate names study.json, which has the checksum of the crate: its content is not part of that.
         place = self._folder / contents.STUDY
         crate = make_crate(study, self._runs, {**self._files, contents.STUDY: place})
@@ -234,7 +234,7 @@ class _BundleMaking:
         if self._gone:
             self.report.notes.append(
                 f"trajectories are gone here of {', '.join(self._gone[:5])}"
-                f"{', …' if len(self._gone) > 5 else ''}: nobody can recompute their figures"  # noqa: PLR2004
+                f"{', …' if len(self._gone) > 5 else ''}: nobody can recompute their figures"
             )
         for name in sorted(self._unknown):
             self.report.notes.append(
@@ -355,31 +355,37 @@ def _is_public(entry: CatalogEntry) -> bool:
     return (bundled("algorithms") / entry.name / "algorithm.yaml").is_file()
 
 
-def _readme(study: Study, runs: Iterable[BundledRun]) -> str:
+_README = """\
+# {title}
+
+{runs} runs of the sweep `{name}` with results and trajectories, made by SLAM Hive {slamhive}. Recordings and
+ground truth are not part of it: they are fetched or made by name.
+
+```bash
+slamhive verify study.zip                # recomputes every figure from the trajectories
+slamhive verify study.zip --repeat 5     # does five of the runs again
+slamhive import study.zip                # into one's own archive, marked as somebody else's
+```
+
+{authors}Licence of the study: {license}.
+
+| what | licence | cite |
+|---|---|---|
+"""
+
+
+def _readme(study: Study, runs: int) -> str:
     """Return what a bundle is, in words, with licences and what to cite."""
-    count = len(list(runs))
-    lines = [
-        f"# {study.title}",
-        "",
-        f"{count} runs of the sweep `{study.name}` with results and trajectories, made by SLAM Hive "
-        f"{study.slamhive}. Recordings and ground truth are not part of it: they are fetched or made by name.",
-        "",
-        "```bash",
-        "slamhive verify study.zip                # recomputes every figure from the trajectories",
-        "slamhive verify study.zip --repeat 5     # does five of the runs again",
-        "slamhive import study.zip                # into one's own archive, marked as somebody else's",
-        "```",
-        "",
-        *([f"Authors: {', '.join(study.authors)}", ""] if study.authors else []),
-        f"Licence of the study: {study.license or 'none was stated'}.",
-        "",
-        "| what | licence | cite |",
-        "|---|---|---|",
-    ]
-    for algorithm in study.algorithms:
-        told = algorithm.license or "not stated", algorithm.homepage or ""
-        lines.append(f"| algorithm {algorithm.name} | {' | '.join(told)} |")
-    for dataset in study.datasets:
-        told = dataset.license or "not stated", dataset.citation or ""
-        lines.append(f"| dataset {dataset.name} | {' | '.join(told)} |")
-    return "\n".join([*lines, ""])
+    head = _README.format(
+        title=study.title,
+        runs=runs,
+        name=study.name,
+        slamhive=study.slamhive,
+        authors=f"Authors: {', '.join(study.authors)}\n\n" if study.authors else "",
+        license=study.license or "none was stated",
+    )
+    cells = [(f"algorithm {one.name}", one.license, one.homepage) for one in study.algorithms]
+    cells += [(f"dataset {one.name}", one.license, one.citation) for one in study.datasets]
+    return head + "".join(
+        f"| {what} | {terms or 'not stated'} | {cite or ''} |\n" for what, terms, cite in cells
+    )

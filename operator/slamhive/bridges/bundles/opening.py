@@ -126,11 +126,11 @@ def _run(title: str, folder: Path, study: Study, name: str) -> BundledRun:
     record, folder_name = run.record, name.split("/")[1]
     if record.name != folder_name or not _RUN_NAME.fullmatch(record.name):
         raise DataError(f"{title}: {name}: record.name: expected {folder_name!r}, found {record.name[:80]!r}")
+    missing = [part for part in ("algorithmRef", "datasetRef") if not isinstance(record.spec.get(part), dict)]
+    if missing:
+        raise DataError(f"{title}: {name}: record.spec.{missing[0]}: expected an object with a name")
     try:
         require_parts(record.spec)
-        for part in ("algorithmRef", "datasetRef"):
-            if not isinstance(record.spec.get(part), dict):
-                raise ValueError(f"spec.{part}: expected an object with a name")  # noqa: TRY004 - as require_parts
     except ValueError as error:
         raise DataError(f"{title}: {name}: record.{error}") from None
     known = {one.manifest for one in study.algorithms}, {one.manifest for one in study.datasets}

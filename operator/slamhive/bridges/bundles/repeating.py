@@ -64,7 +64,7 @@ class RepeatedFigure:
         if not math.isnan(self.deviations):
             return f"{self.deviations:+.2f} standard deviations"
         share = (self.after / self.before - 1) if self.before else math.inf
-        if self.count < 2:  # noqa: PLR2004 - of one there is no spread
+        if self.count < 2:
             return f"{share:+.2%}; one repetition says nothing of the spread"
         return f"{share:+.2%}, where all {self.count} repetitions were equal"
 

@@ -66,8 +66,8 @@ def require_label(
         record = next(archive.runs({"algorithm": foreign_name(name, label)}, limit=1), None)
         if record is not None and record.origin is not None and not is_same(record.origin):
             raise InputError(
-                f"{label!r} is taken: {foreign_name(name, label)} is from {record.origin.source}; give another "
-                "label to what comes now",
+                f"{label!r} is taken: {foreign_name(name, label)} is from {record.origin.source}; give "
+                "another label to what comes now",
                 "label",
             )
 

@@ -11,7 +11,6 @@ import json
 import math
 import os
 import queue
-from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -29,7 +28,7 @@ from slamhive_eval import EvaluationError
 from slamhive_eval.evaluation import VERSION
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     from slamhive.analysis.measuring import Subject
@@ -217,8 +216,8 @@ def _tasks(bundle: OpenedBundle, truths: Mapping[str, Any], found: Verification)
         found.notes.append(f"{without} runs with results have no trajectory in the bundle")
     if old:
         found.notes.append(
-            f"{old} results are of another version of the evaluation than this slamhive's, {VERSION}: where it "
-            "computes otherwise, they don't agree"
+            f"{old} results are of another version of the evaluation than this slamhive's, {VERSION}: where "
+            "that computes otherwise, they don't agree"
         )
 
 

@@ -128,7 +128,7 @@ def verify_bundle(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Compute every figure of a bundle again from its trajectories, and say what agrees to the last digit.
+    """Compute every figure of a bundle again from its trajectories: what agrees to the last digit?
 
     Example: slamhive verify study.zip --repeat 2
     """

@@ -163,7 +163,7 @@ def import_trajectories(
                 _parameters(parameter or []),
             )
             truth, entry = _truth(bench, home, order, ground_truth)
-            taken = take_trajectories(bench, order, files, truth, entry, work.count)
+            taken = take_trajectories(bench, order, files, truth, dataset=entry, step=work.count)
     _tell(taken, order, len(files))
 
 
@@ -224,8 +224,8 @@ def _tell(taken: TrajectoriesTaken, order: TrajectoryOrder, count: int) -> None:
     outcomes = ", ".join(f"{number} {outcome}" for outcome, number in sorted(taken.outcomes.items()))
     out.print(
         f"{foreign_name(order.algorithm, order.label)} on {order.dataset}, not run here: "
-        f"{plural(taken.added, 'run')} imported, {taken.evaluated} evaluated, {taken.unchanged} there already: "
-        f"{outcomes}",
+        f"{plural(taken.added, 'run')} imported, {taken.evaluated} evaluated, {taken.unchanged} there "
+        f"already: {outcomes}",
         markup=False,
         soft_wrap=True,
     )

@@ -37,7 +37,7 @@ class TrajectoryEvaluator:
     def __init__(self, bench: Workbench) -> None:
         self._bench = bench
 
-    def measure_file(
+    def measure_file(  # noqa: PLR0917 - all that a result depends on
         self,
         path: Path,
         spec: dict[str, Any],
