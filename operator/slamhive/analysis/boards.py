@@ -22,6 +22,7 @@ from slamhive.analysis.grouping import (
     direction_notes,
     disturbance_notes,
     idle_notes,
+    origin_notes,
     pooling_notes,
     reader_notes,
     sound,
@@ -214,7 +215,7 @@ def prepare(
     pooled = [name for name in varying(frame) if name not in (*by, *facets)]
     notes += [*pooling_notes(pooled), *idle_notes(frame, pooled)]
     notes += [*direction_notes(metrics), *disturbance_notes(frame, metrics)]
-    notes += unranked_notes(frame, outcomes) + reader_notes(frame, metrics)
+    notes += unranked_notes(frame, outcomes) + reader_notes(frame, metrics) + origin_notes(frame)
     if by_dataset:
         facets = [*facets, "dataset"]
     metric = metrics[0]

@@ -6,6 +6,8 @@
 ``algorithm.version``  8 digits of what the algorithm was: its Algorithm's spec, its environment or image
 ``dataset.version``    8 digits of what the dataset was: its files, and how they were prepared
 ``search``             method of the search whose results chose a run, or how often its setting was run
+``origin``             whose a run is, in tables that hold runs of somebody else: run here, not run here
+                       (LABEL), somebody else's (LABEL), repeated here (LABEL)
 ``superseded``         why a run is no current one: algorithm changed, dataset changed, sweep edited
 ``ate.extended``       the original system's error that grows as coverage falls
 ``lateSeconds``        how late a node's poses came in real time, where that is more than a few frames
@@ -22,10 +24,10 @@ import numpy as np
 
 from slamhive.analysis.columns import Column, ColumnKind, renumbered
 from slamhive.analysis.frame import DERIVED, Frame
-from slamhive.analysis.grouping import where_equal
+from slamhive.analysis.grouping import ORIGIN, where_equal
 from slamhive.analysis.measures import CAUSAL, KEPT_BESIDE
 from slamhive.model.algorithm import Pace
-from slamhive.model.results import Phase
+from slamhive.model.results import OriginKind, Phase
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -59,7 +61,11 @@ _COPIED = re.compile(rf"({'|'.join(('outcome', 'coverage', *sorted(KEPT_BESIDE))
 
 NOT_EVALUATED = "NotEvaluated"
 
-_PLACE = ("cluster", "namespace")
+RUN_HERE, NOT_RUN_HERE = "run here", "not run here"
+SOMEBODY_ELSES, REPEATED_HERE = "somebody else's", "repeated here"
+_SAME_EXPERIMENT = ("provenance.specHash", "provenance.algorithmHash", "provenance.datasetSha256")
+
+_PLACE = ("cluster", "namespace", "origin.label")
 _ENVIRONMENT = "provenance.environment"
 _IMAGE = "provenance.imageID"
 """There where it ran from an image: a process and a container of an algorithm don't supersede each other."""
@@ -107,6 +113,7 @@ def with_derived(columns: Mapping[str, Column], length: int, sweeps: Sequence[Sw
         "algorithm.version": _version(frame, _ALGORITHM),
         "dataset.version": _version(frame, _DATASET),
         "search": _search(frame, sweeps),
+        ORIGIN: _origin(frame),
         "superseded": _superseded(frame, sweeps),
         "ate.extended": _extended(frame),
         LATE_SECONDS: _lateness(frame),
@@ -290,6 +297,30 @@ def _search(frame: Frame, sweeps: Sequence[SweepVersion]) -> Column:
     codes, values = _codes(frame, "sweep.uid")
     places = [words.index(methods[value]) if value in methods else -1 for value in values]
     return Column.of_codes(np.array([*places, -1], dtype=np.int32)[codes], words)
+
+
+def _origin(frame: Frame) -> Column:
+    """Return the words on whose each run is; of nothing in a table of own runs alone.
+
+    A run of somebody else is repeated where an own one had the same settings, program and recording; that the
+    environment is the same to the byte isn't asked for, as another machine has its own.
+    """
+    kinds = frame.column("origin.kind")
+    if kinds.is_empty:
+        return Column.missing(len(frame))
+    labels = frame.column("origin.label").tolist()
+    sames = list(zip(*(frame.column(name).tolist() for name in _SAME_EXPERIMENT), strict=True))
+    own = {same for same, kind in zip(sames, kinds.tolist(), strict=True) if kind is None}
+    words = []
+    for kind, label, same in zip(kinds.tolist(), labels, sames, strict=True):
+        if kind is None:
+            words.append(RUN_HERE)
+        elif kind == OriginKind.TRAJECTORY:
+            words.append(f"{NOT_RUN_HERE} ({label})")
+        else:
+            is_known = None not in same and same in own
+            words.append(f"{REPEATED_HERE if is_known else SOMEBODY_ELSES} ({label})")
+    return Column.of(words)
 
 
 def _latest_last(frame: Frame) -> Indices:

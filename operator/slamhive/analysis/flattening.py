@@ -65,6 +65,7 @@ DOCUMENTS: tuple[tuple[str, str, str | None], ...] = (
     ("input", "provenance", "effective"),
     ("asked", "provenance", "asked"),
     ("prepared", "provenance", "prepared"),
+    ("origin", "provenance", "origin"),
     ("resources", "spec", "resources"),
     ("dataset.attributes", "attributes", None),
     ("usage", "usage", None),
@@ -80,7 +81,7 @@ Where two say the same, the later one holds: what took effect stands before what
 whose names are anybody's choice: they are what MAX_COLUMNS leaves out.
 """
 
-_TOLD_ELSEWHERE = {"provenance": frozenset({"effective", "asked", "prepared"})}
+_TOLD_ELSEWHERE = {"provenance": frozenset({"effective", "asked", "prepared", "origin", "subject"})}
 
 TIMES = frozenset({"created", "started", "finished"})
 

@@ -25,6 +25,7 @@ DERIVED = frozenset(
         *("status", "disturbed", "superseded", "algorithm.version", "dataset.version", "ate.extended"),
         "lateSeconds",
         "search",
+        "origin",
     }
 )
 """Columns that follow from others."""

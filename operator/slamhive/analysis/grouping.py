@@ -46,7 +46,10 @@ FACETS = (
 )
 """Columns that are never pooled: they become keys where they vary."""
 
-LOAD_FACETS = ("provenance.cpuModel", "usage.includesReader")
+ORIGIN = "origin"
+"""Column of whose runs are, in tables that hold runs of somebody else."""
+
+LOAD_FACETS = ("provenance.cpuModel", "usage.includesReader", ORIGIN)
 """Columns that are never pooled where a figure of load is asked for."""
 
 MEMORY_FACETS = ("usage.memory.kind",)
@@ -197,7 +200,7 @@ def aggregate(
     notes = [*pooling_notes(pooled), *idle_notes(frame, pooled)]
     notes += [*disturbance_notes(frame, metrics), *finding_notes(frame)]
     notes += copy_notes(sum(cell.copies for cell in cells), metrics) + reader_notes(frame, metrics)
-    notes += chosen_notes(frame)
+    notes += chosen_notes(frame) + origin_notes(frame)
     return Aggregate(groups.names, tuple(facets), tuple(metrics), cells, members, tuple(notes))
 
 
@@ -323,6 +326,22 @@ def chosen_notes(frame: Frame) -> list[str]:
     count, rest = frame.count_runs(column.present), frame.count_runs()
     share = "all runs were" if count == rest else f"{_runs_text(count)} of {rest:,} were"
     return [f"{CHOSEN} {share} chosen by a search for its results ({_methods(frame)}): no fair sample"]
+
+
+def origin_notes(frame: Frame) -> list[str]:
+    """Say which algorithms' runs somebody else made, and how many of them were repeated here."""
+    if frame.column("origin.kind").is_empty:
+        return []
+    foreign = frame.select(frame.column("origin.kind").present)
+    told = []
+    groups = Groups(foreign, ("algorithm", "origin.source"))
+    for keys, rows in zip(groups.keys, groups.members(), strict=True):
+        mine = foreign.select(rows)
+        words = mine.column(ORIGIN).factorized()[1]
+        runs = _runs_text(mine.count_runs())
+        word = " and ".join(sorted({str(one).partition(" (")[0] for one in words}))
+        told.append(f"{keys['algorithm']}: {word} ({runs} from {keys['origin.source']})")
+    return _first(told)
 
 
 def without_chosen(frame: Frame) -> tuple[Frame, list[str]]:

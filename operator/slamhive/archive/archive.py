@@ -67,6 +67,9 @@ ORIGIN = (
 REMARKS = ("note", "tags", "noted")
 """Columns of what people said of a run."""
 
+FOREIGN = " @"
+"""Text in the names of algorithms whose runs somebody else made, between its own and a label."""
+
 _CATALOG = {"Algorithm": schema.algorithms, "Dataset": schema.datasets}
 _FINISHED = tuple(phase.value for phase in Phase if phase.is_finished)
 
@@ -515,7 +518,7 @@ class Archive:
     ) -> list[Cost]:
         """Return the costs of runs of some algorithms, or on some datasets, the latest first.
 
-        Those that took over a result are left out.
+        Those that took over a result are left out, and those that somebody else made.
 
         Args:
             algorithms: names of algorithms.
@@ -538,6 +541,7 @@ class Archive:
                     )
                 ),
                 runs.reused_from.is_(None),
+                runs.algorithm.not_like(f"%{FOREIGN}%"),
             )
             .subquery()
         )

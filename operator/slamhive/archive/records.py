@@ -190,6 +190,7 @@ def clean_text(text: str) -> str:
 
 _SAME = ("uid", "name", "sweep", "sweep_uid", "namespace", "cluster")
 _REFERENCES = ("algorithmRef", "datasetRef")
+_ORIGIN, _SUBJECT = "origin", "subject"
 
 
 def run_row(record: RunRecord) -> dict[str, Any]:
@@ -227,10 +228,28 @@ def run_row(record: RunRecord) -> dict[str, Any]:
         "usage": usage.as_json() if usage else None,
         "frames": record.frames.as_json() if record.frames else None,
         "trajectory": record.trajectory.as_json() if record.trajectory else None,
-        "provenance": record.provenance.as_json(),
+        "provenance": record.provenance.as_json() | _origin_documents(record),
     }
     row |= Remarks.of(record).row
     return {key: clean(value) for key, value in row.items()}
+
+
+def _origin_documents(record: RunRecord) -> dict[str, Any]:
+    """Return what a provenance holds of a run's origin: few runs have one, so it has no column of its own."""
+    if record.origin is None:
+        return {}
+    told = record.origin.as_json()
+    # Apart, as tables show the rest of it.
+    return {_SUBJECT: told.pop(_SUBJECT, None), _ORIGIN: told}
+
+
+def _split_provenance(held: Any) -> dict[str, Any]:
+    """Return the fields of a record that a row's provenance holds."""
+    if not isinstance(held, dict) or _ORIGIN not in held:
+        return {"provenance": held}
+    provenance = dict(held)
+    origin, subject = provenance.pop(_ORIGIN), provenance.pop(_SUBJECT, None)
+    return {"provenance": provenance, "origin": {**origin, _SUBJECT: subject}}
 
 
 def _ref(spec: Mapping[str, Any], field: str) -> str | None:
@@ -275,7 +294,8 @@ def to_record(run: Mapping[str, Any], results: Iterable[Result]) -> RunRecord:
             name: run[name]
             for name in ("labels", "spec", "attributes", "phase", "reason", "usage", "frames", "metrics")
         }
-        | {name: run[name] for name in ("trajectory", "provenance", "folder", "log_tail")}
+        | {name: run[name] for name in ("trajectory", "folder", "log_tail")}
+        | _split_provenance(run["provenance"])
         | {"index": run["point"], "results": list(results)}
         | {"note": run["note"], "tags": split(run["tags"]), "noted": run["noted"]}
     )

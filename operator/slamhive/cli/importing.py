@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``slamhive import``: results of other systems become runs of the archive."""
+"""``slamhive import``: what others ran becomes runs of the archive; here what the original SLAM Hive did."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from slamhive.bridges import slamhive1
 from slamhive.cli.parts.console import complain, open_archive, out, plural
 from slamhive.cli.parts.exits import FAILED
 from slamhive.cli.parts.waiting import Work
+from slamhive.cli.sharing.taking import import_bundle, import_trajectories
 from slamhive.data.store.truthfolders import GroundTruthFolder
 from slamhive.local.home.folder import Home
 from slamhive.model.errors import DataError, InputError
@@ -33,21 +34,29 @@ if TYPE_CHECKING:
 
 
 class _Systems(TyperGroup):
-    """The systems whose results can be taken in; a folder alone is one of the original SLAM Hive."""
+    """What can be taken in; a folder alone is one of the original SLAM Hive, a .zip a bundle."""
 
     def resolve_command(self, ctx: typer.Context, args: list[str]) -> tuple[str | None, Any, list[str]]:  # type: ignore[override]
         """Find the command that the words name."""
         if args and args[0] not in self.commands and Path(args[0]).is_dir():
             args = ["slam-hive", *args]
+        elif args and args[0] not in self.commands and args[0].lower().endswith(".zip"):
+            args = ["bundle", *args]
         return super().resolve_command(ctx, args)
 
 
-app = typer.Typer(cls=_Systems, no_args_is_help=True, help="Bring results of other systems into the archive.")
+app = typer.Typer(
+    cls=_Systems,
+    no_args_is_help=True,
+    help="Bring runs of other people and other systems into the archive.",
+)
+app.command("bundle")(import_bundle)
+app.command("trajectories")(import_trajectories)
 
 
 @app.callback()
 def _imports() -> None:
-    """Bring results of other systems into the archive."""
+    """Bring runs of other people and other systems into the archive."""
 
 
 @app.command("slam-hive")

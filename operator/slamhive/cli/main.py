@@ -88,6 +88,16 @@ COMMANDS = {
         "submission",
         "Write the ZIP archive for a challenge: one run for each sequence, checked, in the right format.",
     ),
+    "bundle": _Command(
+        "sharing.bundles",
+        "make_bundle",
+        "Write a study as one file: manifests, results, trajectories, environments; not the recordings.",
+    ),
+    "verify": _Command(
+        "sharing.bundles",
+        "verify_bundle",
+        "Compute every figure of a bundle again from its trajectories: what agrees to the last digit?",
+    ),
     "submit": _Command(
         "cluster.commands", "submit", "Send sweeps, runs and what they need to a cluster, which runs them."
     ),
@@ -127,7 +137,7 @@ COMMANDS = {
         "gc",
         "Remove what nothing refers to: variants, environments, assets, and leftovers of killed commands.",
     ),
-    "import": _Command("importing", "app", "Bring results of other systems into the archive."),
+    "import": _Command("importing", "app", "Bring runs of other people and other systems into the archive."),
     "doctor": _Command(
         "doctor",
         "doctor",

@@ -173,7 +173,7 @@ def run(
     forbid_inspection()  # the programs that it runs have its user, and it keeps their figures
     home = Home.from_environment()
     wish = RunChoice(first, rerun=rerun, retry_failed=retry_failed)
-    how = _How(parallelism, wish, container, rerun_where, only, tuple(dataset or ()))
+    how = RunHow(parallelism, wish, container, rerun_where, only, tuple(dataset or ()))
     with home.sharing():
         code = _watch(files, home, how, bell=bell) if watch else _run_files(files, home, how)
     _end(code, bell=bell and not watch)
@@ -197,7 +197,7 @@ def _ring() -> None:
         err.bell()
 
 
-def _watch(files: Sequence[Path], home: Home, how: _How, *, bell: bool) -> int:
+def _watch(files: Sequence[Path], home: Home, how: RunHow, *, bell: bool) -> int:
     """Run what files ask for, again at each save, until Ctrl-C; returns the exit code of the last round."""
     watched = Watched(files)
     while True:
@@ -239,7 +239,7 @@ def demo(
     home = Home.from_environment()
     sweep = bundled("examples") / "demo.yaml"
     with home.sharing("slamhive demo"):
-        code = _run_files([sweep], home, _How(parallelism))
+        code = _run_files([sweep], home, RunHow(parallelism))
     if code != INTERRUPTED:
         name = command_name()
         lines = (
@@ -264,7 +264,7 @@ def _conclusion(home: Home, sweep: str) -> list[str]:
 
 
 @dataclass(frozen=True)
-class _How:
+class RunHow:
     """Options of a command that runs sweeps.
 
     Attributes:
@@ -286,7 +286,7 @@ class _How:
     watched: Watched | None = None
 
 
-def _run_files(files: Sequence[Path], home: Home, how: _How) -> int:
+def _run_files(files: Sequence[Path], home: Home, how: RunHow) -> int:
     workshop = load_workshop(home)
     checked = check_files(files, workshop)
     checked.refuse()
@@ -309,7 +309,7 @@ def _run_files(files: Sequence[Path], home: Home, how: _How) -> int:
                 to_do_again(jobs, home, how.rerun_where)
             # Before the display, as engines draw their own progress.
             bench.programs.fetch([workshop.algorithm(name) for name in _algorithms(plans)])
-            code = _drive(jobs, bench, how)
+            code = drive(jobs, bench, how)
             if code == _SAVED:
                 return code
             interrupted = code == INTERRUPTED
@@ -323,7 +323,7 @@ def _run_files(files: Sequence[Path], home: Home, how: _How) -> int:
     return FAILED if failed or faults else 0
 
 
-def _jobs(both: Sequence[tuple[Sweep, Plan]], workshop: Workshop, how: _How) -> list[Job]:
+def _jobs(both: Sequence[tuple[Sweep, Plan]], workshop: Workshop, how: RunHow) -> list[Job]:
     given = {"--only": how.only, "--dataset": how.datasets, "--first": how.wish.first}
     searches.refuse_choice(both, [name for name, value in given.items() if value])
     jobs = [Job(sweep, local_uid(sweep), points) for sweep, points in both]
@@ -384,7 +384,7 @@ def _algorithms(plans: Sequence[Plan]) -> list[str]:
     return sorted({name for points in plans for name in points.algorithm_names()})
 
 
-def _drive(jobs: Sequence[Job], bench: Workbench, how: _How) -> int:
+def drive(jobs: Sequence[Job], bench: Workbench, how: RunHow) -> int:
     """Bring jobs to their end; returns 0, or why they ended before."""
     saved = asked = False
 

@@ -258,6 +258,35 @@ class Provenance(Model):
     prepared: Prepared | None = None
 
 
+class OriginKind(Choice):
+    """Ways in which a run of somebody else came here: with its study, or as a trajectory alone."""
+
+    BUNDLE = "Bundle"
+    TRAJECTORY = "Trajectory"
+
+
+class Origin(Model):
+    """Origin of a run that somebody else made: whose it is, and what it takes to measure it here.
+
+    Attributes:
+        kind: how it came here.
+        label: what its algorithm's name is followed by here, so that it is never pooled with own runs.
+        source: where it is from: the address that was given, or the study's title.
+        sha256: of the study, or of the file of poses as it was.
+        algorithm: name of its algorithm there.
+        content_hash: what its content hash is there; here it has none, as nobody takes over its result.
+        subject: the evaluator's inputs, as `analysis.subjects.SubjectItem` has them.
+    """
+
+    kind: OriginKind
+    label: str
+    source: str
+    sha256: str
+    algorithm: str
+    content_hash: str | None = None
+    subject: dict[str, Any] | None = None
+
+
 class Result(Model):
     """Outcome, coverage and errors of a run in one evaluation; ``values`` has the evaluator's own names."""
 
@@ -291,6 +320,7 @@ class RunRecord(Model):
         namespace, cluster: where it ran; None on a workstation.
         evaluations: what it was meant to be measured by.
         note, tags, noted: words of people on it, and when they were written: `archive.remarks`.
+        origin: whose it is, where somebody else made it.
     """
 
     uid: str
@@ -322,3 +352,4 @@ class RunRecord(Model):
     note: str | None = None
     tags: list[str] = Field(default_factory=list)
     noted: datetime | None = None
+    origin: Origin | None = None

@@ -15,7 +15,9 @@ from slamhive.model.sensors import SensorMode
 from slamhive.monitor.measuring.bounded import LimitError
 
 if TYPE_CHECKING:
+    from slamhive.analysis.measuring import Subject
     from slamhive.data.making.preparation import Variant
+    from slamhive.data.store.groundtruth import GroundTruthPoses
     from slamhive.local.running.workbench import Workbench
     from slamhive.model.evaluation import EvaluationSettings
     from slamhive.model.results import Result, RunRecord
@@ -35,13 +37,14 @@ class TrajectoryEvaluator:
     def __init__(self, bench: Workbench) -> None:
         self._bench = bench
 
-    def measure_file(
+    def measure_file(  # noqa: PLR0917 - all that a result depends on
         self,
         path: Path,
         spec: dict[str, Any],
         settings: EvaluationSettings,
         variant: Variant | None = None,
         name: str | None = None,
+        subject: Subject | None = None,
     ) -> Result | None:
         """Measure a trajectory file of a run.
 
@@ -52,6 +55,7 @@ class TrajectoryEvaluator:
             settings: how to measure.
             variant: the prepared recording, when it is at hand.
             name: the evaluation's name; default: the alignment.
+            subject: the evaluator's inputs, of a run that somebody else made.
 
         Returns:
             The result, or None when the dataset has no ground truth.
@@ -62,6 +66,32 @@ class TrajectoryEvaluator:
         truth = self._bench.truth(spec["datasetRef"]["name"])
         if truth is None:
             return None
+        subject = subject or self.subject(spec, truth, variant)
+        key = spec["datasetRef"]["name"]
+        try:
+            found = self._bench.measuring.ask((path, key, settings, subject, name), **{key: truth.poses})
+        except LimitError as error:
+            if error.is_lasting:
+                raise UnmeasurableError(f"can't be measured here: {error}") from None
+            raise SystemFault(f"could not be measured: {error}") from None
+        if isinstance(found, Exception):
+            raise found
+        result: Result = found
+        return result
+
+    def subject(
+        self, spec: dict[str, Any], truth: GroundTruthPoses, variant: Variant | None = None
+    ) -> Subject:
+        """Return the evaluator's inputs for a run of this machine.
+
+        Args:
+            spec: the run's resolved spec.
+            truth: its dataset's ground truth.
+            variant: the prepared recording, when it is at hand.
+
+        Raises:
+            InputError: the algorithm or the recording can't be used.
+        """
         algorithm = self._bench.workshop.algorithm(spec["algorithmRef"]["name"]).algorithm
         variant = variant or self._bench.prepare(spec, algorithm)
         dataset = self._bench.dataset(spec["datasetRef"]["name"]).dataset.spec
@@ -74,18 +104,7 @@ class TrajectoryEvaluator:
             gravity_aligned=dataset.has_level_truth,
             window=(variant.start_time, variant.start_time + variant.duration_seconds),
         )
-        subject = subject_of(algorithm.spec, SensorMode(spec["sensors"]), given)
-        key = spec["datasetRef"]["name"]
-        try:
-            found = self._bench.measuring.ask((path, key, settings, subject, name), **{key: truth.poses})
-        except LimitError as error:
-            if error.is_lasting:
-                raise UnmeasurableError(f"can't be measured here: {error}") from None
-            raise SystemFault(f"could not be measured: {error}") from None
-        if isinstance(found, Exception):
-            raise found
-        result: Result = found
-        return result
+        return subject_of(algorithm.spec, SensorMode(spec["sensors"]), given)
 
     def can_serve(self, twin: RunRecord, spec: dict[str, Any], settings: EvaluationSettings) -> bool:
         """Tell whether an equal run's results are under some settings, or can be measured so."""

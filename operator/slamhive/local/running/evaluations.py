@@ -14,6 +14,7 @@ from slamhive.analysis.measuring import (
     outdated_note,
     settings_hash,
 )
+from slamhive.analysis.subjects import SubjectItem
 from slamhive.local.home.removed import absence
 from slamhive.local.running.evaluating import TrajectoryEvaluator, UnmeasurableError
 from slamhive.model.errors import InputError, SlamHiveError, SystemFault, sentence
@@ -172,7 +173,12 @@ def measure_record(
         # Measured against a ground truth of later, an old trajectory would get errors that it doesn't have.
         if known is not None and known != bench.checksum(dataset):
             return Unmeasured(f"dataset {dataset!r} has changed since this run was made")
-        result = TrajectoryEvaluator(bench).measure_file(path, record.spec, settings, name=name)
+        subject = None
+        if record.origin is not None and record.origin.subject is not None:
+            subject = SubjectItem.model_validate(record.origin.subject).subject()
+        result = TrajectoryEvaluator(bench).measure_file(
+            path, record.spec, settings, name=name, subject=subject
+        )
     except (SlamHiveError, OSError) as error:
         if isinstance(error, UnmeasurableError):
             noted = [one.replace(problem=str(error)) for one in _intended(bench, record, settings, name)]
