@@ -78,9 +78,7 @@ def real_runs() -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.N
     kept = [np.array(group) for group in groups.values()]
     means = np.array([group[:, :-1].mean(axis=0) for group in kept])
     spread = [(len(group) / (len(group) - 1)) ** 0.5 for group in kept]
-    away = [
-        (group[:, :-1] - mean) * wider for group, mean, wider in zip(kept, means, spread, strict=True)
-    ]
+    away = [(group[:, :-1] - mean) * wider for group, mean, wider in zip(kept, means, spread, strict=True)]
     return means, np.concatenate(away), np.concatenate([group[:, -1] for group in kept])
 
 
@@ -119,10 +117,14 @@ def decide(lab: Laboratory, change: Change, *, fixed: bool) -> tuple[Gate, int]:
     """Return a gate at its end, and the runs that it took."""
     cells = [GateCell(str(k), lab.runs(k, RECORDED), GateRuns()) for k in range(len(lab.means))]
     gate = Gate(FIGURES)
-    while wanted := dict.fromkeys(range(len(cells)), FIXED) if fixed else next_runs(cells, gate.findings, MOST):
+    while (
+        wanted := dict.fromkeys(range(len(cells)), FIXED) if fixed else next_runs(cells, gate.findings, MOST)
+    ):
         for number, count in wanted.items():
             cell = cells[number]
-            cells[number] = GateCell(cell.name, cell.before, joined(cell.now, lab.runs(number, count, change)))
+            cells[number] = GateCell(
+                cell.name, cell.before, joined(cell.now, lab.runs(number, count, change))
+            )
         gate.look(cells, last=fixed or all(cell.now.count >= MOST for cell in cells))
         if fixed or gate.is_sure:
             break

@@ -39,7 +39,9 @@ class GateRuns:
 
     def numbers(self, name: str, *, logarithms: bool) -> Floats:
         """Return the numbers of a column that runs have, or their logarithms, (n,)."""
-        found = np.asarray([value for value in self.values.get(name, ()) if math.isfinite(value)], dtype=np.float64)
+        found = np.asarray(
+            [value for value in self.values.get(name, ()) if math.isfinite(value)], dtype=np.float64
+        )
         if not logarithms:
             return found
         return np.log(np.maximum(found, np.finfo(np.float64).tiny))

@@ -9,7 +9,7 @@ number of figures (Holm 1979). That a figure is no worse needs no such correctio
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -90,12 +90,14 @@ class Gate:
         alarms: share of false alarms, of a gate as a whole.
         looks: how often it was looked.
         findings: answers of the last look; empty before the first.
+        refused: figures that can't be compared, with the reason.
     """
 
     figures: Sequence[GateFigure]
     alarms: float = ALARMS
     looks: int = 0
     findings: list[GateFinding] = field(default_factory=list)
+    refused: dict[str, str] = field(default_factory=dict)
     _settled: dict[str, GateFinding] = field(default_factory=dict)
 
     @property
@@ -120,8 +122,7 @@ class Gate:
         """
         self.looks += 1
         level = self.alarms / (self.looks if last else self.looks * (self.looks + 1))
-        seen = [self._of_failures(one, cells) if one.name == FAILURES else _of_numbers(one, cells, level)
-                for one in self.figures]
+        seen = [self._look_at(one, cells, level) for one in self.figures]
         worse, better = holm([one.worse for one in seen]), holm([one.better for one in seen])
         self.findings = []
         for one, chance_worse, chance_better in zip(seen, worse, better, strict=True):
@@ -141,6 +142,13 @@ class Gate:
             self.findings.append(found)
         return self.findings
 
+    def _look_at(self, figure: GateFigure, cells: Sequence[GateCell], level: float) -> _Look:
+        if figure.name in self.refused:
+            return _nothing(figure, self.refused[figure.name])
+        if figure.name == FAILURES:
+            return self._of_failures(figure, cells)
+        return _of_numbers(figure, cells, level)
+
     def _of_failures(self, figure: GateFigure, cells: Sequence[GateCell]) -> _Look:
         worse, better = failure_chances(cells)
         before, now = (failure_share(cells, now=side) for side in (False, True))
@@ -148,21 +156,26 @@ class Gate:
         failing = tuple(
             number
             for number, cell in enumerate(cells)
-            if cell.now.failed and cell.now.failed / cell.now.count > cell.before.failed / max(1, cell.before.count)
+            if cell.now.failed
+            and cell.now.failed / cell.now.count > cell.before.failed / max(1, cell.before.count)
         )
         high = failure_bound(cells, self.alarms)
         passes = failure_evidence(cells, figure.margin) >= 1 / self.alarms
         finding = GateFinding(figure, Answer.UNKNOWN, now - before, -math.inf, high, counts, "", failing)
-        # Where no run failed before, any share of failures that is no chance is beyond the margin of nothing.
+        # Any more that is no chance counts: one dataset of nine that is always lost is within any margin.
         return _Look(finding, worse, better, passes=passes and worse > self.alarms, beyond=now > before)
+
+
+def _nothing(figure: GateFigure, why: str) -> _Look:
+    finding = GateFinding(figure, Answer.UNKNOWN, why=why, mends=False)
+    return _Look(finding, 1.0, 1.0, passes=False, beyond=False)
 
 
 def _of_numbers(figure: GateFigure, cells: Sequence[GateCell], level: float) -> _Look:
     shift = shift_of(figure, cells)
     if shift is None:
-        side = "now" if any(cell.before.numbers(figure.name, logarithms=False).size for cell in cells) else "of the baseline"
-        finding = GateFinding(figure, Answer.UNKNOWN, why=f"no run {side} has it", mends=False)
-        return _Look(finding, 1.0, 1.0, passes=False, beyond=False)
+        known = any(cell.before.numbers(figure.name, logarithms=False).size for cell in cells)
+        return _nothing(figure, f"no run {'now' if known else 'of the baseline'} has it")
     out = standing_out(figure, shift)
     chances = [one.chance * len(shift.cells) for one in out]
     counts = sum(one.counts[0] for one in shift.cells), sum(one.counts[1] for one in shift.cells)
@@ -190,8 +203,6 @@ def _of_numbers(figure: GateFigure, cells: Sequence[GateCell], level: float) -> 
 
 
 def _answered(finding: GateFinding, answer: Answer) -> GateFinding:
-    from dataclasses import replace
-
     why = finding.why
     if answer is Answer.UNKNOWN and not why:
         if math.isinf(finding.high):

@@ -83,7 +83,7 @@ MARGINS = {
     "ate.rmse": 0.10,
     "rpe[0].rmse": 0.10,
     COVERAGE: 0.10,
-    FAILURES: 0.25,
+    FAILURES: 0.30,
     "usage.cpu.secondsPerDataSecond": 0.10,
     MEMORY: 0.30,
     LATENCY: 0.15,
@@ -118,7 +118,9 @@ def parse_figure(text: str, option: str) -> tuple[str, float | None]:
     name = _WORDS.get(name, name)
     if name != FAILURES and measure_of(name).better is Better.NONE:
         known = ", ".join([*_WORDS, COVERAGE, FAILURES])
-        raise InputError(f"{option} {text}: nobody has said which way {name!r} is good; short names are {known}")
+        raise InputError(
+            f"{option} {text}: nobody has said which way {name!r} is good; short names are {known}"
+        )
     if not has_margin:
         return name, None
     try:

@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 
 def next_runs(
-    cells: Sequence[GateCell], findings: Sequence[GateFinding], most: int, planned: Sequence[int] | None = None
+    cells: Sequence[GateCell],
+    findings: Sequence[GateFinding],
+    most: int,
+    planned: Sequence[int] | None = None,
 ) -> dict[int, int]:
     """Return how many more runs of which cells to do before the next look; empty where none may tell more.
 
