@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Decision of a gate, made at looks while runs come in: better, no worse, worse, or not known yet.
 
-Each look may spend a part of the allowed false alarms, α / k(k+1) the k-th, the last one all that is left:
-however many there are, and whatever made one go on, they come to α at most. Alarms are corrected for the
-number of figures (Holm 1979). That a figure is no worse needs no such correction: all figures have to be.
+Each look may spend a part of the allowed false alarms: however many there are, they come to α at most
+(`spending`). Alarms are corrected for the number of figures, too (Holm 1979). That a figure is no worse needs
+no such correction: all of them have to be.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from slamhive.analysis.gating.figures import FAILURES
+from slamhive.analysis.gating.spending import Spending, union_level
 from slamhive.analysis.gating.testing import (
     failure_bound,
     failure_chances,
@@ -99,6 +100,10 @@ class Gate:
     findings: list[GateFinding] = field(default_factory=list)
     refused: dict[str, str] = field(default_factory=dict)
     _settled: dict[str, GateFinding] = field(default_factory=dict)
+    _passing: Spending = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._passing = Spending(self.alarms)
 
     @property
     def answer(self) -> Answer:
@@ -121,8 +126,9 @@ class Gate:
             last: whether no look follows.
         """
         self.looks += 1
-        level = self.alarms / (self.looks if last else self.looks * (self.looks + 1))
-        seen = [self._look_at(one, cells, level) for one in self.figures]
+        level = union_level(self.alarms, self.looks, last=last)
+        passing = self._passing.level(_information(cells), last=last)
+        seen = [self._look_at(one, cells, passing) for one in self.figures]
         worse, better = holm([one.worse for one in seen]), holm([one.better for one in seen])
         self.findings = []
         for one, chance_worse, chance_better in zip(seen, worse, better, strict=True):
@@ -164,6 +170,13 @@ class Gate:
         finding = GateFinding(figure, Answer.UNKNOWN, now - before, -math.inf, high, counts, "", failing)
         # Any more that is no chance counts: one dataset of nine that is always lost is within any margin.
         return _Look(finding, worse, better, passes=passes and worse > self.alarms, beyond=now > before)
+
+
+def _information(cells: Sequence[GateCell]) -> float:
+    """Return one over the variance of a mean shift, by the numbers of runs alone."""
+    both = [cell for cell in cells if cell.before.count and cell.now.count]
+    variance = sum(1 / cell.before.count + 1 / cell.now.count for cell in both)
+    return len(both) ** 2 / variance if variance else 1e-9
 
 
 def _nothing(figure: GateFigure, why: str) -> _Look:

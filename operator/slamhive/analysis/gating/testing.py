@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from slamhive.analysis.gating.cells import GateCell
     from slamhive.analysis.gating.figures import GateFigure
 
-_SHRUNK = 5.0
+_SHRUNK = 20.0
 """Runs that the share of failures of all cells weighs in that of one."""
 
 _STANDS_OUT = 2.0
