@@ -116,6 +116,16 @@ def student_quantile(share: float, degrees: int) -> float:
     return math.copysign(math.tan(theta) * math.sqrt(degrees), share - 0.5)
 
 
+def student_tail(t: float, degrees: int) -> float:
+    """The probability that Student's t of whole degrees of freedom ≥ 1 lies above t ≥ 0.
+
+    By the normal distribution from 400 degrees on, and not below 1e-15, the rounding of the closed form.
+    """
+    if degrees > _LONG_SERIES:
+        return math.erfc(t / math.sqrt(2.0)) / 2.0
+    return max(1e-15, (1.0 - _student_between(math.atan(t / math.sqrt(degrees)), degrees)) / 2.0)
+
+
 def _student_between(theta: float, degrees: int) -> float:
     """P(|t| < tan θ·√degrees)."""
     sine, cosine = math.sin(theta), math.cos(theta)

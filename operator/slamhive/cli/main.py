@@ -46,6 +46,11 @@ COMMANDS = {
     "run": _Command(
         "running", "run", "Run sweeps on this machine, or on a cluster as if it were this machine."
     ),
+    "gate": _Command(
+        "gate",
+        "gate",
+        "Tell whether an algorithm has become worse than what was recorded, by as few runs as make it sure.",
+    ),
     "plan": _Command(
         "plans",
         "plan",

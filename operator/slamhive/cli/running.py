@@ -173,7 +173,7 @@ def run(
     forbid_inspection()  # the programs that it runs have its user, and it keeps their figures
     home = Home.from_environment()
     wish = RunChoice(first, rerun=rerun, retry_failed=retry_failed)
-    how = RunHow(parallelism, wish, container, rerun_where, only, tuple(dataset or ()))
+    how = _How(parallelism, wish, container, rerun_where, only, tuple(dataset or ()))
     with home.sharing():
         code = _watch(files, home, how, bell=bell) if watch else _run_files(files, home, how)
     _end(code, bell=bell and not watch)
@@ -197,7 +197,7 @@ def _ring() -> None:
         err.bell()
 
 
-def _watch(files: Sequence[Path], home: Home, how: RunHow, *, bell: bool) -> int:
+def _watch(files: Sequence[Path], home: Home, how: _How, *, bell: bool) -> int:
     """Run what files ask for, again at each save, until Ctrl-C; returns the exit code of the last round."""
     watched = Watched(files)
     while True:
@@ -239,7 +239,7 @@ def demo(
     home = Home.from_environment()
     sweep = bundled("examples") / "demo.yaml"
     with home.sharing("slamhive demo"):
-        code = _run_files([sweep], home, RunHow(parallelism))
+        code = _run_files([sweep], home, _How(parallelism))
     if code != INTERRUPTED:
         name = command_name()
         lines = (
@@ -264,7 +264,7 @@ def _conclusion(home: Home, sweep: str) -> list[str]:
 
 
 @dataclass(frozen=True)
-class RunHow:
+class _How:
     """Options of a command that runs sweeps.
 
     Attributes:
@@ -286,7 +286,7 @@ class RunHow:
     watched: Watched | None = None
 
 
-def _run_files(files: Sequence[Path], home: Home, how: RunHow) -> int:
+def _run_files(files: Sequence[Path], home: Home, how: _How) -> int:
     workshop = load_workshop(home)
     checked = check_files(files, workshop)
     checked.refuse()
@@ -294,7 +294,7 @@ def _run_files(files: Sequence[Path], home: Home, how: RunHow) -> int:
     if not checked.plans and not evaluations:
         raise InputError(f"{files[0]}: no Sweep, MappingRun or Evaluation in it")
     for sweep, points in checked.plans:
-        _tell_of(sweep, points, workshop, how.container)
+        tell_of(sweep, points, workshop, how.container)
     sweeps, plans = [sweep for sweep, _ in checked.plans], [points for _, points in checked.plans]
     if how.watched is not None:
         _follow(how.watched, workshop, plans)
@@ -308,13 +308,13 @@ def _run_files(files: Sequence[Path], home: Home, how: RunHow) -> int:
             if how.rerun_where is not None:
                 to_do_again(jobs, home, how.rerun_where)
             # Before the display, as engines draw their own progress.
-            bench.programs.fetch([workshop.algorithm(name) for name in _algorithms(plans)])
-            code = drive(jobs, bench, how)
+            bench.programs.fetch([workshop.algorithm(name) for name in algorithms_of(plans)])
+            code = drive(jobs, bench, how.wish, how.parallelism, how.watched)
             if code == _SAVED:
                 return code
             interrupted = code == INTERRUPTED
         if not interrupted:
-            faults = _measure(bench, jobs, evaluations)
+            faults = measure_all(bench, jobs, evaluations)
         _report(jobs, bench)
     if interrupted:
         remark("interrupted; the same command goes on from here")
@@ -323,7 +323,7 @@ def _run_files(files: Sequence[Path], home: Home, how: RunHow) -> int:
     return FAILED if failed or faults else 0
 
 
-def _jobs(both: Sequence[tuple[Sweep, Plan]], workshop: Workshop, how: RunHow) -> list[Job]:
+def _jobs(both: Sequence[tuple[Sweep, Plan]], workshop: Workshop, how: _How) -> list[Job]:
     given = {"--only": how.only, "--dataset": how.datasets, "--first": how.wish.first}
     searches.refuse_choice(both, [name for name, value in given.items() if value])
     jobs = [Job(sweep, local_uid(sweep), points) for sweep, points in both]
@@ -344,7 +344,7 @@ def _recall(jobs: Sequence[Job], bench: Workbench) -> None:
             job.search.recall(bench.archive)
 
 
-def _measure(bench: Workbench, jobs: Sequence[Job], evaluations: Sequence[Evaluation]) -> bool:
+def measure_all(bench: Workbench, jobs: Sequence[Job], evaluations: Sequence[Evaluation]) -> bool:
     """Measure what was measured otherwise, and tell whether the machine or a file was in the way."""
     faults = False
     for job in jobs:
@@ -374,28 +374,42 @@ def _follow(watched: Watched, workshop: Workshop, plans: Sequence[Plan]) -> None
     Raises:
         InputError: an editor is not done with the Python of an algorithm.
     """
-    names = _algorithms(plans)
+    names = algorithms_of(plans)
     watched.follow(workshop, names, {name for points in plans for name in points.dataset_names()})
     if problems := [problem for name in names for problem in half_saved(workshop.algorithm(name))]:
         raise InputError("\n".join(problems))
 
 
-def _algorithms(plans: Sequence[Plan]) -> list[str]:
+def algorithms_of(plans: Sequence[Plan]) -> list[str]:
     return sorted({name for points in plans for name in points.algorithm_names()})
 
 
-def drive(jobs: Sequence[Job], bench: Workbench, how: RunHow) -> int:
-    """Bring jobs to their end; returns 0, or why they ended before."""
+def drive(
+    jobs: Sequence[Job],
+    bench: Workbench,
+    wish: RunChoice,
+    parallelism: int | None = None,
+    watched: Watched | None = None,
+) -> int:
+    """Bring jobs to their end; returns 0, or why they ended before.
+
+    Args:
+        jobs: what is to be done.
+        bench: what runs share.
+        wish: how much of it is done.
+        parallelism: runs at the same time at most.
+        watched: files whose change ends the runs; None for none.
+    """
     saved = asked = False
 
     def look() -> None:
         nonlocal saved
-        if how.watched is not None and not saved and how.watched.changed():
+        if watched is not None and not saved and watched.changed():
             saved = True
             runner.interrupt(making=False)  # the next round wants the same recordings
 
     with Display(bench, lambda job: errors_before(job, bench.home), look) as display:
-        runner = Runner(bench, display, parallelism=how.parallelism, wish=how.wish, begun=display.begun)
+        runner = Runner(bench, display, parallelism=parallelism, wish=wish, begun=display.begun)
         before: dict[int, Any] = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)}
 
         def interrupt(_number: int, _frame: Any) -> None:
@@ -418,7 +432,7 @@ def drive(jobs: Sequence[Job], bench: Workbench, how: RunHow) -> int:
     return INTERRUPTED if interrupted else 0
 
 
-def _tell_of(sweep: Sweep, points: Plan, workshop: Workshop, container: ContainerChoice | None) -> None:
+def tell_of(sweep: Sweep, points: Plan, workshop: Workshop, container: ContainerChoice | None) -> None:
     """Say which algorithms can't run here, and which settings have no effect."""
     for name in points.algorithm_names():
         reason = unavailable(workshop.algorithm(name), container)

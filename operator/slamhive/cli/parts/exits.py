@@ -3,4 +3,6 @@
 
 FAILED = 1
 WRONG_INPUT = 2
+UNKNOWN = 3  # slamhive gate: nobody can tell
+WORSE = 4  # slamhive gate: worse than before
 INTERRUPTED = 130

@@ -157,7 +157,7 @@ def _repeat(
     """Do runs again; returns how their figures differ, whether it was interrupted, and what could not run."""
     if not number:
         return [], False, []
-    from slamhive.cli.running import RunHow, drive
+    from slamhive.cli.running import drive
     from slamhive.local.running.choosing import RunChoice
     from slamhive.local.running.runner import Job
     from slamhive.monitor.measuring.processes import forbid_inspection
@@ -179,8 +179,7 @@ def _repeat(
     interrupted = False
     if jobs:
         with home.sharing("slamhive verify"):
-            how = RunHow(None, RunChoice(rerun=True))
-            interrupted = drive([job for _, job in jobs], bench, how) == INTERRUPTED
+            interrupted = drive([job for _, job in jobs], bench, RunChoice(rerun=True)) == INTERRUPTED
     found: list[RepeatedFigure] = []
     for run, job in jobs:
         again = bench.archive.get(job.run_uid(0))
