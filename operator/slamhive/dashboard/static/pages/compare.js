@@ -5,7 +5,18 @@ import { address, useAddress } from '../core/address.js';
 import { useAll, useData } from '../core/api.js';
 import { Chart, COLOURS } from '../core/chart.js';
 import { cell, clip, keysText, number, SUBJECT } from '../core/format.js';
-import { Choice, Fault, Link, Notes, runLink, Status, Table, useTitle, Waiting } from '../core/parts.js';
+import {
+  Choice,
+  Download,
+  Fault,
+  Link,
+  Notes,
+  runLink,
+  Status,
+  Table,
+  useTitle,
+  Waiting,
+} from '../core/parts.js';
 import { differing, labelsOf, settingOf, sharedBy } from '../core/labels.js';
 import { foremost, useNarrow } from '../core/narrow.js';
 import { Mark, suspectOf, useSuspects } from '../core/suspects.js';
@@ -259,15 +270,12 @@ function Compared({ runs, tracks, usage, byError }) {
       show: (_, run) =>
         run.files
           ? html`
-            <a
-              href=${`/api/v1/runs/${encodeURIComponent(run.uid)}/trajectory?format=csv`}
-              download
-            >
+            <${Download} href=${`/api/v1/runs/${encodeURIComponent(run.uid)}/trajectory?format=csv`}>
               trajectory
-            </a>${' '}
-            <a href=${`/api/v1/runs/${encodeURIComponent(run.uid)}/usage?format=csv`} download>
+            </${Download}>${' '}
+            <${Download} href=${`/api/v1/runs/${encodeURIComponent(run.uid)}/usage?format=csv`}>
               load
-            </a>
+            </${Download}>
           `
           : '–',
     },

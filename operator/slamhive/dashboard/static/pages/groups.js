@@ -4,7 +4,7 @@ import { address } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { clip, number, shortTitles } from '../core/format.js';
 import { foremost, useNarrow } from '../core/narrow.js';
-import { Fault, Link, Notes, Table } from '../core/parts.js';
+import { Download, Fault, Link, Notes, Table } from '../core/parts.js';
 import { TruthLink } from '../core/truth.js';
 import { html } from '../core/ui.js';
 
@@ -158,9 +158,9 @@ export function GroupTable({ columns, set, filters }) {
     <section>
       <h2>
         Behind it${' '}
-        <a class="small" href=${csvOf(url)} download>
+        <${Download} class="small" href=${csvOf(url)}>
           CSV
-        </a>
+        </${Download}>
       </h2>
       <p class="quiet">
         Figures are over n ${set.outcomes === 'all' ? 'evaluated' : 'tracked'} runs; coverage over

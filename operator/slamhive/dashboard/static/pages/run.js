@@ -7,7 +7,7 @@ import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { bytes, cell, clip, namedValue, number, time } from '../core/format.js';
 import { foremost, useNarrow } from '../core/narrow.js';
-import { Choice, Fault, Link, Notes, Status, Table, useTitle, Waiting } from '../core/parts.js';
+import { Choice, Download, Fault, Link, Notes, Status, Table, useTitle, Waiting } from '../core/parts.js';
 import { SuspectNotes } from '../core/suspects.js';
 import { TruthLink } from '../core/truth.js';
 import { html, useMemo } from '../core/ui.js';
@@ -78,9 +78,9 @@ function One({ uid }) {
       }
       <${Link} href=${`/compare?uid=${encodeURIComponent(uid)}`}>Compare</${Link}>${' · '}
       <${Link} href=${address('/paths', { of: uid })}>All its repetitions</${Link}>
-      <a href=${`${base}/manifest`} download>
+      <${Download} href=${`${base}/manifest`}>
         YAML to run it again
-      </a>
+      </${Download}>
       ${dataset && html`<${TruthLink} dataset=${dataset} />`}
     </p>
     ${run.message && html`<p class="quiet">${clip(run.message, LONGEST)}</p>`}
@@ -542,9 +542,9 @@ function Files({ base, known }) {
       name: 'path',
       title: 'file',
       show: (path) => html`
-        <a href=${`${base}/files/${path.split('/').map(encodeURIComponent).join('/')}`} download>
+        <${Download} href=${`${base}/files/${path.split('/').map(encodeURIComponent).join('/')}`}>
           ${clip(path, 100)}
-        </a>
+        </${Download}>
       `,
     },
     { name: 'size', title: 'size', kind: 'number', show: (size) => bytes(size) },
