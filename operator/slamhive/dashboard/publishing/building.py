@@ -142,6 +142,7 @@ class _Building:
         self._files: dict[str, str] = {}
         self._tables: dict[str, str] = {}
         self._refused: dict[str, Any] = {}
+        self._conditions: list[str] = []
 
     async def built(self) -> BuiltSite:
         frame = self._snapshot.frame
@@ -153,7 +154,7 @@ class _Building:
         self._tell("answers")
         await self._ask_all()
         self._tell("table")
-        columns = table.written(self._folder, frame)
+        columns = table.written(self._folder, frame, self._conditions)
         self._tell("runs")
         pages = RunPages(self._folder, self._source, self._snapshot, len(runs))
         directory = pages.written(runs, self._folder.read(shown["runs"]) if shown else None)
@@ -188,6 +189,7 @@ class _Building:
                 await self._ask(question)
         for question in questions.of_all(columns):
             await self._ask(question)
+        self._conditions = questions.conditions(columns)
 
     async def _ask(self, question: str) -> Any:
         """Ask, keep the answer and its table, and return it; a refusal is kept as one."""

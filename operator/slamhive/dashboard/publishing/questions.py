@@ -7,6 +7,7 @@ Points, runs and their orders aren't among them: pages take those of the table (
 
 from __future__ import annotations
 
+import re
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -49,6 +50,9 @@ _TABLES = (
 )
 """The paper's tables, as core/questions.js has them."""
 
+_PLAYED = ("input.pace in ('Realtime', 'Stepped')", "beside.online.ate.rmse is not null")
+_FEATURES = re.compile(r"parameters\..*(n|num|max)_?features?", re.IGNORECASE)
+
 
 class AskedColumns:
     """Columns of some runs, by what is asked of them.
@@ -56,6 +60,8 @@ class AskedColumns:
     Attributes:
         measures: figures that drawings are made of.
         settings: settings that vary over few values, the most varied first.
+        features: the parameter that is a number of features, if one varies.
+        tags: of runs.
         superseded: whether there are runs of earlier versions.
 
     Args:
@@ -65,7 +71,8 @@ class AskedColumns:
     def __init__(self, answer: Mapping[str, Any]) -> None:
         self._items = {one["name"]: one for one in answer["items"]}
         known = [name for name in MEASURES if self._count(name)]
-        cpu = next((name for name in _LOADS if self._count(name)), None)
+        played = "Realtime" in self.names("input.pace")  # as cpuColumn of core/format.js
+        cpu = next((name for name in _LOADS[played:] if self._count(name)), None)
         self.measures = [*known[:1], *([cpu] if cpu else []), *known[1:]]
         self.varied = [
             name
@@ -76,6 +83,8 @@ class AskedColumns:
         asked = [one for one in asked if 1 < one["distinct"] <= MOST_VALUES]
         asked.sort(key=lambda one: (one["name"] not in self.varied, -one["distinct"]))
         self.settings = [one["name"] for one in asked[:MOST_SETTINGS]]
+        self.features = [name for name in self._items if _FEATURES.fullmatch(name) and self.varies(name)][:1]
+        self.tags = sorted({str(tag) for one in self._items.get("tags", {}).get("values") or [] for tag in one["value"]})
         self.superseded = bool(self._count("superseded"))
 
     def _count(self, name: str) -> int:
@@ -170,10 +179,28 @@ def of_all(columns: AskedColumns) -> Iterator[str]:
         asked = ("superseded", "1"), ("metric", ERROR), ("by", VERSIONS), ("outcomes", "tracked")
         yield address(f"{ANALYSIS}/leaderboard", *asked)
         yield address(f"{ANALYSIS}/compare", *asked)
+    for name, apart in product(columns.features, (True, False)):
+        by = f"{name},dataset" if apart and columns.varies("dataset") else name
+        loads = [*columns.measures[1:2], "usage.memory.peakBytes"]
+        asked = ("where", f"{_quoted(name)} is not null"), ("by", by)
+        for metrics in (ERROR, ",".join([ERROR, *loads])):
+            yield address(f"{ANALYSIS}/aggregate", *asked, ("metrics", metrics), ("outcomes", "tracked"))
     if "slam-hive" in columns.names("label.source"):
         for by, metrics, where in _TABLES:
             asked = ("where", where), ("by", by), ("metrics", metrics), ("outcomes", "all")
             yield address(f"{ANALYSIS}/aggregate", *asked)
+
+
+def conditions(columns: AskedColumns) -> list[str]:
+    """Return the conditions that pages put by themselves, as they put them."""
+    found = [where for _, _, where in _TABLES] + ["superseded is not null", *_PLAYED]
+    found += [f"{_quoted(name)} is not null" for name in columns.features]
+    return found + [f"tags contains '{tag}'" for tag in columns.tags]
+
+
+def _quoted(name: str) -> str:
+    """Return a column's name as it stands in a condition, as core/questions.js does it."""
+    return name if re.fullmatch(r"[A-Za-z_][A-Za-z0-9_.]*", name) else f"`{name}`"
 
 
 def _groups(columns: AskedColumns) -> Iterator[tuple[str, ...]]:

@@ -7,6 +7,7 @@ Pages select, order and draw of it what they otherwise ask /api/v1/runs and /api
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,9 +18,11 @@ from slamhive.analysis.selection import contents, preference
 from slamhive.dashboard.answering.encoding import encode_json
 from slamhive.dashboard.answers.analysis import mixtures
 from slamhive.dashboard.answers.columns import coded, heading
-from slamhive.tables.queries import select
+from slamhive.tables.queries import QueryError, condition, select
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from slamhive.analysis.frame import Frame
     from slamhive.dashboard.publishing.folder import SiteFolder
 
@@ -33,12 +36,13 @@ _LISTS = frozenset({"tags"})
 CONTENT, PREFERENCE = ":content", ":preference"
 
 
-def written(folder: SiteFolder, frame: Frame) -> dict[str, Any]:
+def written(folder: SiteFolder, frame: Frame, conditions: Sequence[str]) -> dict[str, Any]:
     """Write the columns of all runs, and return what tells where they are.
 
     Args:
         folder: the site's.
         frame: the rows, those of earlier versions among them.
+        conditions: that pages put, for which no browser has a reader; those of unknown columns are left out.
     """
     frame = select(frame, [("superseded", "1")], (), each=True).frame
     held = {name: frame.column(name) for name in frame.names}
@@ -56,12 +60,22 @@ def written(folder: SiteFolder, frame: Frame) -> dict[str, Any]:
         "rows": len(frame),
         "block": BLOCK,
         "columns": columns,
+        "conditions": dict(_met(folder, frame, conditions)),
         "notes": list(chosen.notes),
         "mixed": [
             {"column": one["column"], "owner": OWNERS.get(one["column"])}
             for one in mixtures(chosen.frame, [])
         ],
     }
+
+
+def _met(folder: SiteFolder, frame: Frame, conditions: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Go through the conditions, each with the file of the rows that meet it."""
+    for text in conditions:
+        with suppress(QueryError):
+            node = condition(frame, [("where", text)], ())
+            if node is not None:
+                yield text, folder.keep(np.flatnonzero(node.mask(frame)))
 
 
 def _is_shown(column: Column, name: str) -> bool:

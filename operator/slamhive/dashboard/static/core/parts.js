@@ -59,17 +59,22 @@ export const useTitle = (title) =>
     document.title = `${clip(title, 80)} · ${NAME}`;
   }, [title]);
 
+/** Status of what a site without a server can't answer. */
+export const NOT_HERE = 501;
+
 /**
  * What was wrong, in the API's words; a second and third line show the place.
- * @param {{error: {message: string}|null|undefined}} props
+ * @param {{error: {message: string, status?: number}|null|undefined}} props
  */
 export const Fault = ({ error }) =>
   error &&
-  html`
+  (SITE && error.status === NOT_HERE
+    ? html`<p class="quiet" role="note">${error.message}</p>`
+    : html`
     <div class="fault" role="alert">
       <pre>${error.message}</pre>
     </div>
-  `;
+  `);
 
 /** Shown while the first answer is awaited. */
 export const Waiting = () => html`

@@ -6,6 +6,7 @@
 import { Query } from './address.js';
 import { ApiError } from './api.js';
 import { saveText, toCsv } from './figure.js';
+import { NOT_HERE } from './parts.js';
 import { pointsOf, runsOf } from './sitetable.js';
 
 /**
@@ -16,11 +17,12 @@ import { pointsOf, runsOf } from './sitetable.js';
  */
 
 const API = '/api/v1';
-const NOT_HERE =
-  'This site has no answer to that question: its figures over groups were computed when it was made, for the ' +
-  'choices that its pages begin with. Points and tables of runs take any choice; slamhive dashboard answers ' +
-  'every question, where the runs are.';
-const CONDITIONS = 'Conditions in words need a server: choose by columns and their values here.';
+const UNASKED =
+  'This site has no figures for that choice: figures over groups were computed when it was made, for the ' +
+  'choices that its pages begin with. Points and tables of runs take any choice; where the runs are, ' +
+  'slamhive dashboard takes all.';
+const CONDITIONS =
+  'This site has no server to read that condition: choose runs by columns and their values here.';
 
 /** @type {Map<string, Promise<any>>} */
 const kept = new Map();
@@ -102,7 +104,7 @@ async function ofRun(known, uid, part, query) {
   const page = (await fileOf(runs.files[runs.at[place] ?? 0] ?? ''))[uid];
   let found = page[part];
   if (part === 'trajectory' && found) found = found[query.get('evaluation')] ?? Object.values(found)[0];
-  if (!found) throw new ApiError('The files of runs are not part of this site.', 404);
+  if (!found) throw new ApiError('The files of runs are not part of this site.', NOT_HERE);
   found = await resolved(found);
   if (found.refused) throw new ApiError(found.error, found.refused, found.field);
   return found;
@@ -124,10 +126,11 @@ export async function answer(url) {
   if (refused) throw new ApiError(refused.error, refused.status, refused.field);
   const [, uid, part] = /^\/api\/v1\/runs\/([^/]+)\/?(.*)$/.exec(path) ?? [];
   if (uid !== undefined) return ofRun(known, decodeURIComponent(uid), part ?? '', query);
-  if (query.get('where')) throw new ApiError(CONDITIONS, 404, 'where');
+  if (query.get('where') && !Object.hasOwn(known.table.conditions, query.get('where')))
+    throw new ApiError(CONDITIONS, NOT_HERE);
   if (path === `${API}/runs`) return runsOf(known.table, query, fileOf);
   if (path === `${API}/analysis/points`) return pointsOf(known.table, query, fileOf);
-  throw new ApiError(NOT_HERE, 404);
+  throw new ApiError(UNASKED, NOT_HERE);
 }
 
 /**

@@ -9,13 +9,13 @@ import { ApiError } from './api.js';
  * @typedef {{kind: string, values?: Array<number|null>, codes?: number[], categories?: Api.Value[]}} Block
  * @typedef {Api.Heading & {blocks: Array<string|Block>}} StoredColumn
  * @typedef {{rows: number, columns: Record<string, StoredColumn>, notes: string[],
- *   mixed: Array<{column: string, owner: string|null}>}} SiteTable
+ *   mixed: Array<{column: string, owner: string|null}>, conditions: Record<string, string>}} SiteTable
  * @typedef {{kind: string, length: number, at: (row: number) => Api.Value}} ReadColumn at: numbers as stored
  * @typedef {(name: string) => Promise<any>} Files
  * @typedef {import('./address.js').Query} Query
  */
 
-const OWN = ['sort', 'columns', 'limit', 'after', 'format', 'x', 'y', 'colour', 'size', 'facet', 'digits'];
+const OWN = ['sort', 'columns', 'limit', 'after', 'format', 'x', 'y', 'colour', 'size', 'facet', 'digits', 'where'];
 const SUPERSEDED = 'superseded';
 const DEFAULT = [
   'uid',
@@ -133,10 +133,11 @@ async function chosen(table, query, files, each) {
     tests.push({ read: await column(table, name, name, files), fits: equals(texts) });
   if (query.get(SUPERSEDED) !== '1' && Object.hasOwn(table.columns, SUPERSEDED))
     tests.push({ read: await column(table, SUPERSEDED, SUPERSEDED, files), fits: (value) => value === null });
+  const meeting = query.get('where') ? new Set(await files(table.conditions[query.get('where')] ?? '')) : null;
   /** @type {number[]} */
   const rows = [];
   for (let row = 0; row < table.rows; row += 1)
-    if (tests.every((one) => one.fits(one.read.at(row)))) rows.push(row);
+    if ((meeting === null || meeting.has(row)) && tests.every((one) => one.fits(one.read.at(row)))) rows.push(row);
   return each ? rows : once(table, rows, files);
 }
 

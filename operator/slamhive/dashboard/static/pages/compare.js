@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Runs side by side: trajectories over the ground truth, error, CPU and memory with one cursor. */
 import { overTime, shared, since, spanOf, truthsOf } from '../charts/trajectory.js';
-import { address, useAddress } from '../core/address.js';
+import { address, SITE, useAddress } from '../core/address.js';
 import { useAll, useData } from '../core/api.js';
 import { Chart, COLOURS } from '../core/chart.js';
 import { cell, clip, keysText, number, SUBJECT } from '../core/format.js';
@@ -73,7 +73,7 @@ export default function Compare() {
             ${runs && html`<${CommonLink} runs=${runs.filter((one) => one.data).map((one) => one.data)} />`}
           </div>
           <div class="row">
-            <${Finder} taken=${uids} onAdd=${add} full=${uids.length >= MOST} />
+            ${!SITE && html`<${Finder} taken=${uids} onAdd=${add} full=${uids.length >= MOST} />`}
             <${Choice}
               label="Colours tell"
               value=${query.get('colour', 'run')}

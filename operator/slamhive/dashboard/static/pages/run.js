@@ -2,7 +2,7 @@
 /** One run: how it was set, what it cost, what was measured, and how to run it again. */
 import { withHealth } from '../charts/health.js';
 import { overTime, shared, since, truthsOf } from '../charts/trajectory.js';
-import { address, useAddress } from '../core/address.js';
+import { address, SITE, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { bytes, cell, clip, namedValue, number, time } from '../core/format.js';
@@ -76,8 +76,14 @@ function One({ uid }) {
           </span>
         `
       }
-      <${Link} href=${`/compare?uid=${encodeURIComponent(uid)}`}>Compare</${Link}>${' · '}
-      <${Link} href=${address('/paths', { of: uid })}>All its repetitions</${Link}>
+      <${Link} href=${`/compare?uid=${encodeURIComponent(uid)}`}>Compare</${Link}>
+      ${
+        !SITE &&
+        html`
+          ${' · '}
+          <${Link} href=${address('/paths', { of: uid })}>All its repetitions</${Link}>
+        `
+      }
       <${Download} href=${`${base}/manifest`}>
         YAML to run it again
       </${Download}>
@@ -169,6 +175,7 @@ function One({ uid }) {
       html`
         <details>
           <summary>YAML to run it again</summary>
+          <p class="quiet">Saved as <code>run.yaml</code>, this repeats it: <code>slamhive run run.yaml</code></p>
           <pre class="text" tabindex="0">
             ${run.manifest}
           </pre>
@@ -460,7 +467,7 @@ function Trajectory({ base, results, name, cameras }) {
           ${clip(data.alignment ?? 'nothing', 40)}.
         </p>
         <${Notes} notes=${data.notes} />
-        ${cameras && html`<${Seen} key=${base} base=${base} data=${data} />`}
+        ${cameras && !SITE && html`<${Seen} key=${base} base=${base} data=${data} />`}
       `
     }
   `;
