@@ -190,20 +190,36 @@ def once(frame: Frame) -> Mask:
     Of equal ones a measured run stays, by the latest version of the evaluation; then one that the machine and
     the user let end; then one that was computed and not reused; then the latest.
     """
-    content = frame.column("provenance.contentHash")
     kept = np.ones(len(frame), dtype=bool)
-    if content.kind.is_numeric:
+    groups = contents(frame)
+    known = np.flatnonzero(groups >= 0)
+    if count_distinct(groups[known]) == len(known):
         return kept
-    known = np.flatnonzero(content.codes >= 0)
+    order = preference(frame)
+    order = order[groups[order] >= 0]
+    _, firsts = np.unique(groups[order], return_index=True)
+    kept[known] = False
+    kept[order[firsts]] = True
+    return kept
+
+
+def contents(frame: Frame) -> Indices:
+    """Return a number for each content, evaluation and settings, (n,); -1 where the content isn't known."""
+    content = frame.column("provenance.contentHash")
+    if content.kind.is_numeric:
+        return np.full(len(frame), -1)
     groups = content.codes.astype(np.int64)
     for name in ("evaluation", "settings"):
         column = frame.column(name)
         codes = np.full(len(frame), -1) if column.kind.is_numeric else column.codes
         groups = groups * (len(column.values) + 1) + codes + 1
-    if count_distinct(groups[known]) == len(known):
-        return kept
+    return np.where(content.codes >= 0, groups, -1)
+
+
+def preference(frame: Frame) -> Indices:
+    """Return the places of the rows, those first that stay of equal content."""
     created = frame.column("created").floats()
-    order = np.lexsort(
+    return np.lexsort(
         (
             -frame.column("id").floats(),
             -np.where(np.isnan(created), -np.inf, created),
@@ -213,11 +229,6 @@ def once(frame: Frame) -> Mask:
             ~frame.column("outcome").present,
         )
     )
-    order = order[content.codes[order] >= 0]
-    _, firsts = np.unique(groups[order], return_index=True)
-    kept[known] = False
-    kept[order[firsts]] = True
-    return kept
 
 
 def _ended_by_others(frame: Frame) -> Mask:

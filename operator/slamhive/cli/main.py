@@ -72,6 +72,11 @@ COMMANDS = {
         "dashboard",
         "Show the archive in a web browser: leaderboard, charts, runs. It changes nothing; Ctrl-C ends it.",
     ),
+    "site": _Command(
+        "site",
+        "site",
+        "Write the dashboard as a site of static files: leaderboard, charts, studies, the page of each run.",
+    ),
     "published": _Command("published", "app", "Numbers of papers and leaderboards, shown beside own runs."),
     "report": _Command(
         "report",

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.grouping import CHOSEN, SEARCHED, SUBJECT, varying, where_equal
@@ -119,8 +119,28 @@ def found(
     return FoundRun(record, place, source.absence(record))
 
 
-def detail(snapshot: Snapshot, found: FoundRun) -> Body:
-    """Return a run with its configuration, provenance, usage, results and log."""
+@dataclass(frozen=True)
+class RunsAlike:
+    """What the answers on all runs, or on those of one subject, have in common.
+
+    Attributes:
+        varied: headings of the settings by which runs of a subject differ, by the subject.
+        labelled: names of columns of costs and frames.
+    """
+
+    varied: dict[tuple[Any, ...], list[dict[str, Any]]] = field(default_factory=dict)
+    labelled: dict[str, str] = field(default_factory=dict)
+
+
+def detail(snapshot: Snapshot, found: FoundRun, alike: RunsAlike | None = None) -> Body:
+    """Return a run with its configuration, provenance, usage, results and log.
+
+    Args:
+        snapshot: the data.
+        found: the run.
+        alike: what is known of others of the same snapshot already; it is filled.
+    """
+    alike = RunsAlike() if alike is None else alike
     record = found.record
     spec = record.spec
     plain = record.as_json()
@@ -130,6 +150,11 @@ def detail(snapshot: Snapshot, found: FoundRun) -> Body:
         **{name: spec.get(name) for name in ("sensors", "repetition", "seed")},
         **{name: spec.get(name) or {} for name in ("parameters", "input", "resources")},
     }
+    subject = tuple(configuration[name] for name in SUBJECT)
+    if subject not in alike.varied:
+        alike.varied[subject] = _varied(snapshot, configuration)
+    if not alike.labelled:
+        alike.labelled.update(_labelled(snapshot))
     content: dict[str, Any] = {
         "revision": snapshot.revision,
         "uid": record.uid,
@@ -140,14 +165,14 @@ def detail(snapshot: Snapshot, found: FoundRun) -> Body:
         **{name: plain.get(name) for name in ("phase", "reason", "message", "attempts")},
         **{name: plain.get(name) for name in ("created", "started", "finished")},
         "configuration": configuration,
-        "varied": _varied(snapshot, configuration),
+        "varied": alike.varied[subject],
         "cameras": _has_cameras(spec.get("sensors")),
         "note": record.note,
         "tags": record.tags,
         "attributes": record.attributes,
         "labels": record.labels,
         "metrics": record.metrics,
-        "labelled": _labelled(snapshot),
+        "labelled": alike.labelled,
         **{name: plain.get(name) for name in _PARTS},
         "provenance": plain.get("provenance") or {},
         "results": [_result_json(causal_result(record, result)) for result in record.results],

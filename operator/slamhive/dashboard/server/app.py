@@ -41,7 +41,13 @@ def create_app(
         hosts: names that it may be called by; None for any.
         listeners: how many of one address are told of changes.
     """
-    service = Service(source)
+    return application(Service(source), hosts=hosts, listeners=listeners)
+
+
+def application(
+    service: Service, *, hosts: Collection[str] | None = None, listeners: int = MAX_LISTENERS
+) -> FastAPI:
+    """Return the application over a service that there is; the rest as for ``create_app``."""
     events = Events(service, listeners)
 
     @asynccontextmanager

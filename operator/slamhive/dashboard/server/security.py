@@ -23,7 +23,7 @@ MAX_PATH = 4096
 HEAD = "slamhive.head"
 """In the scope of a GET that was asked as a HEAD: whose body nobody sees."""
 
-_CONTENT = (
+CONTENT_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
     "font-src 'self'; connect-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'none'; "
     "object-src 'none'; "
@@ -36,9 +36,9 @@ HEADERS: tuple[tuple[bytes, bytes], ...] = (
     (b"cross-origin-resource-policy", b"same-origin"),
     (b"permissions-policy", b"camera=(), geolocation=(), microphone=(), payment=(), usb=()"),
 )
-_FRAMED = (b"content-security-policy", (_CONTENT + "frame-ancestors *").encode())
+_FRAMED = (b"content-security-policy", (CONTENT_POLICY + "frame-ancestors *").encode())
 _ALONE = (
-    (b"content-security-policy", (_CONTENT + "frame-ancestors 'none'").encode()),
+    (b"content-security-policy", (CONTENT_POLICY + "frame-ancestors 'none'").encode()),
     (b"x-frame-options", b"DENY"),
 )
 _METHODS = frozenset({"GET", "HEAD"})

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 /** The frame around all pages: which page an address means, navigation, theme, what the server says. */
-import { Address, readAddress } from './core/address.js';
+import { Address, readAddress, SITE } from './core/address.js';
 import { follow, Live } from './core/api.js';
-import { Link, Notes } from './core/parts.js';
+import { Link, NAME, Notes } from './core/parts.js';
 import { html, render, useEffect, useState } from './core/ui.js';
 
 /**
@@ -24,6 +24,7 @@ const PAGES = {
   algorithms: () => import('./pages/catalog.js'),
   datasets: () => import('./pages/catalog.js'),
 };
+const ICON = new URL('icon.svg', import.meta.url).href;
 const MENU = [
   ['/', 'Overview'],
   ['/sweeps', 'Sweeps'],
@@ -140,13 +141,23 @@ function App() {
         ${
           !embedded &&
           html`
-            <a class="skip" href="#main">
+            <a
+              class="skip"
+              href="#main"
+              onClick=${
+                SITE &&
+                ((/** @type {Event} */ event) => {
+                  event.preventDefault();
+                  document.getElementById('main')?.focus();
+                })
+              }
+            >
               To the content
             </a>
             <header>
               <${Link} class="brand" href="/">
-                <img src="/icon.svg" alt="" width="26" height="26" />
-                SLAM Hive
+                <img src=${ICON} alt="" width="26" height="26" />
+                ${NAME}
               </${Link}>
               <nav aria-label="Pages">
                 ${MENU.map(
@@ -165,8 +176,11 @@ function App() {
           !live.connected &&
           html`
             <p class="banner" role="alert">
-              The dashboard does not answer; what is shown is its last state. It is asked again by
-              itself.
+              ${
+                SITE
+                  ? 'A file of this site could not be read.'
+                  : 'The dashboard does not answer; what is shown is its last state. It is asked again by itself.'
+              }
             </p>
           `
         }

@@ -38,6 +38,24 @@ const OWN = new Set([
   'first',
 ]);
 
+/**
+ * True on a site without a server: its pages are behind the # of its one address, answers are files beside it.
+ */
+export const SITE = Boolean(globalThis.document?.querySelector('meta[name="slamhive-site"]'));
+
+/**
+ * Return a page's address as the browser is to have it.
+ * @param {string} page path and query
+ */
+export const hrefOf = (page) => (SITE ? `#${page}` : page);
+
+/** Return path and query of the page that is shown. @returns {[string, string]} */
+const whereabouts = () => {
+  if (!SITE) return [location.pathname, location.search];
+  const [, path, search] = /^#?([^?]*)(.*)$/s.exec(location.hash) ?? ['', '', ''];
+  return [path || '/', search];
+};
+
 /** @param {string} text */
 const decode = (text) => {
   try {
@@ -150,7 +168,7 @@ export const address = (path, query) => {
  * @param {{replace?: boolean}} [how]
  */
 export const go = (href, { replace = false } = {}) => {
-  history[replace ? 'replaceState' : 'pushState'](null, '', href);
+  history[replace ? 'replaceState' : 'pushState'](null, '', hrefOf(href));
   dispatchEvent(new Event('addresschange'));
 };
 
@@ -167,14 +185,14 @@ export const useAddress = () => {
     ...here,
     /** @param {Changes} changes @param {boolean} [replace] */
     change: (changes, replace = false) =>
-      go(address(location.pathname, here.query.with(changes)), { replace }),
+      go(address(whereabouts()[0], here.query.with(changes)), { replace }),
     /** @param {Query} query */
-    follow: (query) => go(address(location.pathname, query)),
+    follow: (query) => go(address(whereabouts()[0], query)),
   };
 };
 
 /** Read the browser's address. */
-export const readAddress = () => ({
-  path: location.pathname.split('/').filter(Boolean).map(decode),
-  query: Query.parse(location.search),
-});
+export const readAddress = () => {
+  const [path, search] = whereabouts();
+  return { path: path.split('/').filter(Boolean).map(decode), query: Query.parse(search) };
+};

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Reading the API. The browser keeps answers and asks with their ETag; a new revision asks again. */
+import { SITE } from './address.js';
 import { createContext, useContext, useEffect, useState } from './ui.js';
 
 /** An answer that says what was wrong: `field` is the parameter that it was about. */
@@ -19,6 +20,7 @@ export class ApiError extends Error {
  * @returns {Promise<any>}
  */
 export async function fetchJson(url, signal) {
+  if (SITE) return (await import('./site.js')).answer(url);
   let answer;
   try {
     answer = await fetch(url, { signal, headers: { Accept: 'application/json' } });
@@ -123,6 +125,13 @@ const ASKING = 'This page asks for news every 5 s: too many pages are told of th
  * @returns {() => void} ends it
  */
 export function follow(tell) {
+  if (SITE) {
+    fetchJson('/api/v1').then(
+      ({ revision, counts }) => tell({ connected: true, problems: [], revision, counts }),
+      (error) => tell({ connected: false, problems: [error.message], revision: null }),
+    );
+    return () => {};
+  }
   /** @type {ReturnType<typeof setInterval> | undefined} */
   let timer;
   /** @type {LiveState} */

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /** What stands around every drawing: its title, its table, its CSV, its pictures. */
-import { Link, Table } from './parts.js';
+import { Download, Link, Table } from './parts.js';
 import { html, useState } from './ui.js';
 
 const MOST_ROWS = 1000;
@@ -128,9 +128,9 @@ export function Framed({ title, link, csv, table, png, svg, tools, children }) {
               `
               : csv &&
                 html`
-                  <a href=${csv} download>
+                  <${Download} href=${csv}>
                     CSV
-                  </a>
+                  </${Download}>
                 `
           }
           <button type="button" onClick=${png}>

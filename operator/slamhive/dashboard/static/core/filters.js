@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Which runs are meant: chips for what is chosen, a choice of column and value, a condition in words. */
-import { address, useAddress } from './address.js';
+import { address, SITE, useAddress } from './address.js';
 import { useData } from './api.js';
 import { cell, clip } from './format.js';
 import { Fault, Tick } from './parts.js';
@@ -177,13 +177,14 @@ export function Filters({ columns, error, hint, versions = true }) {
               </label>
             `)
         }
-        <label class=${`field wide ${wrongWhere ? 'wrong' : ''}`}>
+        <label class=${`field wide ${wrongWhere ? 'wrong' : ''}`} hidden=${SITE && where === ''}>
           <span>Condition</span>
           <input
             type="text"
             spellcheck="false"
             maxlength="8000"
             placeholder="coverage >= 0.9 and run not in (53, 103)"
+            readonly=${SITE}
             value=${draft}
             aria-invalid=${wrongWhere ? 'true' : null}
             onInput=${(event) => setDraft(event.target.value)}
@@ -192,6 +193,7 @@ export function Filters({ columns, error, hint, versions = true }) {
         </label>
         ${
           versions &&
+          (!SITE || columns?.some((one) => one.name === SUPERSEDED)) &&
           html`
             <${Tick}
               label="earlier versions too"

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Small parts of which the pages are made. */
-import { address, go } from './address.js';
+import { address, go, hrefOf, SITE } from './address.js';
 import { blanks, cell, clip, statusClass } from './format.js';
 import { html, useEffect } from './ui.js';
 import { stays, watch } from './wide.js';
@@ -13,7 +13,7 @@ const ARROWS = { ascending: ' ↑', descending: ' ↓' };
  */
 export const Link = ({ href, children, ...rest }) => html`
   <a
-    href=${href}
+    href=${hrefOf(href)}
     onClick=${(event) => {
       if (event.ctrlKey || event.metaKey || event.shiftKey || event.button) return;
       event.preventDefault();
@@ -27,25 +27,54 @@ export const Link = ({ href, children, ...rest }) => html`
 `;
 
 /**
+ * A file of the API to keep; on a site without a server it is made of the site's own.
+ * @param {{href: string, children?: Shown} & Record<string, any>} props
+ */
+export const Download = ({ href, children, ...rest }) => html`
+  <a
+    href=${SITE ? hrefOf('/') : href}
+    download
+    onClick=${
+      SITE &&
+      ((/** @type {Event} */ event) => {
+        event.preventDefault();
+        import('./site.js').then(({ keep }) => keep(href));
+      })
+    }
+    ...${rest}
+  >
+    ${children}
+  </a>
+`;
+
+/** What the pages are called together: the title of a site is its maker's. */
+export const NAME = globalThis.document?.title || 'SLAM Hive';
+
+/**
  * Give the page its title.
  * @param {string} title
  */
 export const useTitle = (title) =>
   useEffect(() => {
-    document.title = `${clip(title, 80)} · SLAM Hive`;
+    document.title = `${clip(title, 80)} · ${NAME}`;
   }, [title]);
+
+/** Status of what a site without a server can't answer. */
+export const NOT_HERE = 501;
 
 /**
  * What was wrong, in the API's words; a second and third line show the place.
- * @param {{error: {message: string}|null|undefined}} props
+ * @param {{error: {message: string, status?: number}|null|undefined}} props
  */
 export const Fault = ({ error }) =>
   error &&
-  html`
+  (SITE && error.status === NOT_HERE
+    ? html`<p class="quiet" role="note">${error.message}</p>`
+    : html`
     <div class="fault" role="alert">
       <pre>${error.message}</pre>
     </div>
-  `;
+  `);
 
 /** Shown while the first answer is awaited. */
 export const Waiting = () => html`

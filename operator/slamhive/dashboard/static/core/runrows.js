@@ -4,7 +4,7 @@ import { address } from './address.js';
 import { csvOf, useData } from './api.js';
 import { clip, namedValue, number, shortTitles } from './format.js';
 import { foremost, useNarrow } from './narrow.js';
-import { Fault, Link, runLink, Status, Table } from './parts.js';
+import { Download, Fault, Link, runLink, Status, Table } from './parts.js';
 import { TruthLink } from './truth.js';
 import { html } from './ui.js';
 
@@ -26,13 +26,9 @@ export function RunRows({ filters, extra, selected = false, title = 'Runs', sort
       <h2>
         ${selected ? 'Selected runs' : title}${' '}
         ${state.data && html`<span class="quiet">${number(state.data.total)}</span>`}
-        <a
-          class="small"
-          href=${csvOf(address('/api/v1/runs', filters.with({ columns: columns.join(',') })))}
-          download
-        >
+        <${Download} class="small" href=${csvOf(address('/api/v1/runs', filters.with({ columns: columns.join(',') })))}>
           CSV
-        </a>
+        </${Download}>
         <${Link} class="small" href=${address('/runs', filters.with({ sort }))}>
           All as a table
         </${Link}>

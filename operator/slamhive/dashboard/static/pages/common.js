@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Runs measured again over what they have in common: own and common errors and ranks side by side. */
 import { dumbbells } from '../charts/dumbbells.js';
-import { address, useAddress } from '../core/address.js';
+import { address, SITE, useAddress } from '../core/address.js';
 import { Chart } from '../core/chart.js';
 import { cell, clip, columnTitle, keysText, number } from '../core/format.js';
 import { Link, Notes, runLink, Status, Table } from '../core/parts.js';
@@ -234,7 +234,7 @@ const article = (noun) => `${/^[aeiou]/.test(noun) ? 'an' : 'a'} ${noun}`;
  */
 export function CommonLink({ runs }) {
   const datasets = runs.map((run) => run.configuration?.dataset);
-  if (new Set(datasets).size === datasets.length) return null;
+  if (SITE || new Set(datasets).size === datasets.length) return null;
   const numbered = new Set(runs.map((run) => String(run.run))).size === runs.length;
   const settings = {
     kind: 'common',

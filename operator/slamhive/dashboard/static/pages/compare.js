@@ -1,11 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Runs side by side: trajectories over the ground truth, error, CPU and memory with one cursor. */
 import { overTime, shared, since, spanOf, truthsOf } from '../charts/trajectory.js';
-import { address, useAddress } from '../core/address.js';
+import { address, SITE, useAddress } from '../core/address.js';
 import { useAll, useData } from '../core/api.js';
 import { Chart, COLOURS } from '../core/chart.js';
 import { cell, clip, keysText, number, SUBJECT } from '../core/format.js';
-import { Choice, Fault, Link, Notes, runLink, Status, Table, useTitle, Waiting } from '../core/parts.js';
+import {
+  Choice,
+  Download,
+  Fault,
+  Link,
+  Notes,
+  runLink,
+  Status,
+  Table,
+  useTitle,
+  Waiting,
+} from '../core/parts.js';
 import { differing, labelsOf, settingOf, sharedBy } from '../core/labels.js';
 import { foremost, useNarrow } from '../core/narrow.js';
 import { Mark, suspectOf, useSuspects } from '../core/suspects.js';
@@ -62,7 +73,7 @@ export default function Compare() {
             ${runs && html`<${CommonLink} runs=${runs.filter((one) => one.data).map((one) => one.data)} />`}
           </div>
           <div class="row">
-            <${Finder} taken=${uids} onAdd=${add} full=${uids.length >= MOST} />
+            ${!SITE && html`<${Finder} taken=${uids} onAdd=${add} full=${uids.length >= MOST} />`}
             <${Choice}
               label="Colours tell"
               value=${query.get('colour', 'run')}
@@ -259,15 +270,12 @@ function Compared({ runs, tracks, usage, byError }) {
       show: (_, run) =>
         run.files
           ? html`
-            <a
-              href=${`/api/v1/runs/${encodeURIComponent(run.uid)}/trajectory?format=csv`}
-              download
-            >
+            <${Download} href=${`/api/v1/runs/${encodeURIComponent(run.uid)}/trajectory?format=csv`}>
               trajectory
-            </a>${' '}
-            <a href=${`/api/v1/runs/${encodeURIComponent(run.uid)}/usage?format=csv`} download>
+            </${Download}>${' '}
+            <${Download} href=${`/api/v1/runs/${encodeURIComponent(run.uid)}/usage?format=csv`}>
               load
-            </a>
+            </${Download}>
           `
           : '–',
     },

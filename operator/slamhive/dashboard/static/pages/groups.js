@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 /** What stands beside a chart so that nobody is misled: n, failures, coverage of each group. */
-import { address } from '../core/address.js';
+import { address, SITE } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { clip, number, shortTitles } from '../core/format.js';
 import { foremost, useNarrow } from '../core/narrow.js';
-import { Fault, Link, Notes, Table } from '../core/parts.js';
+import { Download, Fault, Link, Notes, Table } from '../core/parts.js';
 import { TruthLink } from '../core/truth.js';
 import { html } from '../core/ui.js';
 
@@ -158,9 +158,9 @@ export function GroupTable({ columns, set, filters }) {
     <section>
       <h2>
         Behind it${' '}
-        <a class="small" href=${csvOf(url)} download>
+        <${Download} class="small" href=${csvOf(url)}>
           CSV
-        </a>
+        </${Download}>
       </h2>
       <p class="quiet">
         Figures are over n ${set.outcomes === 'all' ? 'evaluated' : 'tracked'} runs; coverage over
@@ -174,13 +174,13 @@ export function GroupTable({ columns, set, filters }) {
             fixed=${Math.max(1, keys)}
             columns=${[
               ...(narrow ? onPhone(shown) : shown.columns),
-              {
+              !SITE && {
                 name: 'paths',
                 title: 'paths',
                 show: (/** @type {unknown} */ _, /** @type {{keys: Api.Keys}} */ row) =>
                   html`<${Link} href=${pathsOf(filters, row.keys)}>show</${Link}>`,
               },
-            ]}
+            ].filter(Boolean)}
             rows=${shown.rows.slice(0, 200).map((/** @type {any} */ row, /** @type {number} */ at) => ({
               ...row,
               keys: state.data.groups[at].keys,

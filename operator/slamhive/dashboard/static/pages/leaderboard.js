@@ -7,7 +7,17 @@ import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { columnOptions, Filters, isMeasure, shownByFilters, useColumns } from '../core/filters.js';
 import { clip, columnTitle, keysText, number } from '../core/format.js';
-import { Choice, Fault, Link, NothingFits, Notes, Table, useTitle, Waiting } from '../core/parts.js';
+import {
+  Choice,
+  Download,
+  Fault,
+  Link,
+  Notes,
+  NothingFits,
+  Table,
+  useTitle,
+  Waiting,
+} from '../core/parts.js';
 import { published } from '../core/questions.js';
 import { foremost, useNarrow } from '../core/narrow.js';
 import { Mark, suspectOf, useSuspects } from '../core/suspects.js';
@@ -109,9 +119,9 @@ export default function Leaderboard() {
           <p class="quiet">
             Ranks are by the median of each dataset; runs that failed count as worse than any that
             did not.${' '}
-            <a href=${csvOf(url)} download>
+            <${Download} href=${csvOf(url)}>
               CSV
-            </a>${' '}
+            </${Download}>${' '}
             <${TruthLink} filters=${query.filters()} />
           </p>
           <${Pooled} pooled=${state.data.pooled} by=${state.data.by} />

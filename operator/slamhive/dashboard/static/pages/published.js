@@ -3,7 +3,7 @@
 import { address } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { clip, columnTitle, number } from '../core/format.js';
-import { Table } from '../core/parts.js';
+import { Download, Table } from '../core/parts.js';
 import { countText } from '../charts/scatter.js';
 import { html, useMemo } from '../core/ui.js';
 
@@ -68,7 +68,7 @@ export function PublishedRows({ filters, metrics }) {
       <p class="quiet">
         Numbers of papers and leaderboards on these datasets. They are in no average, rank, count
         or test.${' '}
-        <a href=${csvOf(url)} download>CSV</a>
+        <${Download} href=${csvOf(url)}>CSV</${Download}>
       </p>
       <${Table} columns=${columns} rows=${rows} caption="Published numbers" />
       <details>

@@ -2,12 +2,12 @@
 /** One run: how it was set, what it cost, what was measured, and how to run it again. */
 import { withHealth } from '../charts/health.js';
 import { overTime, shared, since, truthsOf } from '../charts/trajectory.js';
-import { address, useAddress } from '../core/address.js';
+import { address, SITE, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { bytes, cell, clip, namedValue, number, time } from '../core/format.js';
 import { foremost, useNarrow } from '../core/narrow.js';
-import { Choice, Fault, Link, Notes, Status, Table, useTitle, Waiting } from '../core/parts.js';
+import { Choice, Download, Fault, Link, Notes, Status, Table, useTitle, Waiting } from '../core/parts.js';
 import { SuspectNotes } from '../core/suspects.js';
 import { TruthLink } from '../core/truth.js';
 import { html, useMemo } from '../core/ui.js';
@@ -76,11 +76,17 @@ function One({ uid }) {
           </span>
         `
       }
-      <${Link} href=${`/compare?uid=${encodeURIComponent(uid)}`}>Compare</${Link}>${' · '}
-      <${Link} href=${address('/paths', { of: uid })}>All its repetitions</${Link}>
-      <a href=${`${base}/manifest`} download>
+      <${Link} href=${`/compare?uid=${encodeURIComponent(uid)}`}>Compare</${Link}>
+      ${
+        !SITE &&
+        html`
+          ${' · '}
+          <${Link} href=${address('/paths', { of: uid })}>All its repetitions</${Link}>
+        `
+      }
+      <${Download} href=${`${base}/manifest`}>
         YAML to run it again
-      </a>
+      </${Download}>
       ${dataset && html`<${TruthLink} dataset=${dataset} />`}
     </p>
     ${run.message && html`<p class="quiet">${clip(run.message, LONGEST)}</p>`}
@@ -169,6 +175,7 @@ function One({ uid }) {
       html`
         <details>
           <summary>YAML to run it again</summary>
+          <p class="quiet">Saved as <code>run.yaml</code>, this repeats it: <code>slamhive run run.yaml</code></p>
           <pre class="text" tabindex="0">
             ${run.manifest}
           </pre>
@@ -460,7 +467,7 @@ function Trajectory({ base, results, name, cameras }) {
           ${clip(data.alignment ?? 'nothing', 40)}.
         </p>
         <${Notes} notes=${data.notes} />
-        ${cameras && html`<${Seen} key=${base} base=${base} data=${data} />`}
+        ${cameras && !SITE && html`<${Seen} key=${base} base=${base} data=${data} />`}
       `
     }
   `;
@@ -542,9 +549,9 @@ function Files({ base, known }) {
       name: 'path',
       title: 'file',
       show: (path) => html`
-        <a href=${`${base}/files/${path.split('/').map(encodeURIComponent).join('/')}`} download>
+        <${Download} href=${`${base}/files/${path.split('/').map(encodeURIComponent).join('/')}`}>
           ${clip(path, 100)}
-        </a>
+        </${Download}>
       `,
     },
     { name: 'size', title: 'size', kind: 'number', show: (size) => bytes(size) },

@@ -5,7 +5,18 @@ import { csvOf, useData } from '../core/api.js';
 import { columnOptions, Filters, isEmpty, shownByFilters, useColumns } from '../core/filters.js';
 import { clip, cpuColumn, number } from '../core/format.js';
 import { foremost, useNarrow } from '../core/narrow.js';
-import { Empty, Fault, Link, NothingFits, Notes, Table, Tick, useTitle, Waiting } from '../core/parts.js';
+import {
+  Download,
+  Empty,
+  Fault,
+  Link,
+  Notes,
+  NothingFits,
+  Table,
+  Tick,
+  useTitle,
+  Waiting,
+} from '../core/parts.js';
 import { TruthLink } from '../core/truth.js';
 import { html, useState } from '../core/ui.js';
 import { FINDINGS, folded, KEPT, onPhone, Same, SEARCHED } from '../core/runrows.js';
@@ -115,9 +126,9 @@ export default function Runs() {
       state.data
         ? html`
           <p class="row">
-            <a href=${csvOf(table)} download>
+            <${Download} href=${csvOf(table)}>
               CSV
-            </a>
+            </${Download}>
             <${TruthLink} filters=${query.filters()} />
             ${
               marked.length > 0 &&

@@ -8,7 +8,18 @@ import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { columnOptions, Filters, isMeasure, isSetting, shownByFilters, useColumns } from '../core/filters.js';
 import { cell, clip, columnTitle, keysText, number, signOf, SUBJECT, tellingKeys } from '../core/format.js';
-import { Choice, Fault, Link, Notes, Outcomes, Places, Table, useTitle, Waiting } from '../core/parts.js';
+import {
+  Choice,
+  Download,
+  Fault,
+  Link,
+  Notes,
+  Outcomes,
+  Places,
+  Table,
+  useTitle,
+  Waiting,
+} from '../core/parts.js';
 import { foremost, useNarrow } from '../core/narrow.js';
 import { html, useMemo } from '../core/ui.js';
 import { Common, EACH_RUN, Narrowing } from './common.js';
@@ -214,9 +225,9 @@ export default function Studies() {
       ${
         state.current &&
         html`
-          <a href=${csvOf(url)} download>
+          <${Download} href=${csvOf(url)}>
             CSV
-          </a>
+          </${Download}>
         `
       }
     </p>

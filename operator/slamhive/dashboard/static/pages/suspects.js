@@ -6,7 +6,7 @@ import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { cell, clip, columnTitle, number } from '../core/format.js';
-import { Fault, Link, Notes, Table, Waiting } from '../core/parts.js';
+import { Download, Fault, Link, Notes, Table, Waiting } from '../core/parts.js';
 import { html, useMemo } from '../core/ui.js';
 
 /** @param {{data: Api.Suspects, csv: string, without: Shown}} props */
@@ -86,7 +86,7 @@ function Truths() {
       Stretches in which runs of three algorithms or more agree with each other and not with the truth: it is
       the likelier one to be wrong there, or a sensor that all of them use. Whoever agrees leaves the
       stretch out by <code>groundTruth.holes</code>.${' '}
-      <a href=${csvOf(url)} download>CSV</a>
+      <${Download} href=${csvOf(url)}>CSV</${Download}>
     </p>
     ${
       items.length === 0 &&

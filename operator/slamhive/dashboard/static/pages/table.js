@@ -5,7 +5,18 @@ import { csvOf, useData } from '../core/api.js';
 import { Filters, shownByFilters, useColumns } from '../core/filters.js';
 import { clip } from '../core/format.js';
 import { useNarrow } from '../core/narrow.js';
-import { Choice, Fault, Link, NothingFits, Notes, Table, Tick, useTitle, Waiting } from '../core/parts.js';
+import {
+  Choice,
+  Download,
+  Fault,
+  Link,
+  Notes,
+  NothingFits,
+  Table,
+  Tick,
+  useTitle,
+  Waiting,
+} from '../core/parts.js';
 import { published } from '../core/questions.js';
 import { TruthLink } from '../core/truth.js';
 import { html } from '../core/ui.js';
@@ -96,9 +107,9 @@ export default function Groups() {
         ? html`
           <p class="quiet">
             Figures are over n ${set.outcomes === 'all' ? 'evaluated' : 'tracked'} runs.${' '}
-            <a href=${csvOf(url)} download>
+            <${Download} href=${csvOf(url)}>
               CSV
-            </a>${' '}
+            </${Download}>${' '}
             <${TruthLink} filters=${query.filters()} />
           </p>
           ${

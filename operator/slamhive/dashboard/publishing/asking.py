@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Asking of the API within the process: the addresses of the dashboard, without workers and sockets."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+from urllib.parse import quote, unquote
+
+from fastapi import Request, Response
+
+from slamhive.analysis.grouping import where_equal
+from slamhive.dashboard.answering.encoding import Body
+from slamhive.dashboard.answering.totals import SweepTotals
+from slamhive.dashboard.server.app import application
+from slamhive.dashboard.server.service import Service
+from slamhive.dashboard.sources.archived import Snapshot
+from slamhive.model.errors import UnknownNameError
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable, Sequence
+
+    from slamhive.archive.records import SweepRecord
+    from slamhive.dashboard.answering.workers import AnswerWorkers
+    from slamhive.dashboard.sources.archived import Source
+
+T = TypeVar("T")
+G = TypeVar("G")
+
+REVISION = "site"
+"""Revision that all answers of a site bear: equal answers are then equal files."""
+
+_UNESCAPED = "!'()*"
+
+
+class Published:
+    """A source as it was at one moment, its finished runs alone, of some sweeps alone.
+
+    Args:
+        source: the source.
+        snapshot: its data.
+        sweeps: the sweeps; empty for all runs.
+    """
+
+    def __init__(self, source: Source, snapshot: Snapshot, sweeps: Sequence[str] = ()) -> None:
+        self._source = source
+        self._sweeps = tuple(dict.fromkeys(sweeps))
+        frame = snapshot.frame
+        if self._sweeps:
+            known = {str(value) for value in frame.column("sweep").factorized()[1] if value is not None}
+            for name in self._sweeps:
+                if name not in known:
+                    raise UnknownNameError("sweep", name, known, argument="sweep")
+            inside = where_equal(frame, "sweep", self._sweeps[0])
+            for name in self._sweeps[1:]:
+                inside |= where_equal(frame, "sweep", name)
+            frame = frame.select(inside)
+        self._snapshot = replace(
+            snapshot,
+            frame=frame,
+            revision=REVISION,
+            sweeps={},
+            at_work=(),
+            asked=frozenset(one for one in snapshot.asked if self._meant(one[1])),
+        )
+
+    def _meant(self, sweep: str) -> bool:
+        return not self._sweeps or sweep in self._sweeps
+
+    async def start(self, _: object) -> None:
+        """Begin: all is there."""
+
+    async def stop(self) -> None:
+        """End: who gave the source ends it."""
+
+    async def fresh(self) -> Snapshot:
+        """Return the data."""
+        return self._snapshot
+
+    def sweeps(self) -> list[SweepRecord]:
+        """Return the sweeps that are meant."""
+        return [one for one in self._source.sweeps() if self._meant(one.name)]
+
+    def live_runs(self) -> int:
+        """Return 0: what goes on is shown when it has ended."""
+        return 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._source, name)
+
+
+class _Within:
+    """What workers do, done here and now: nobody else waits."""
+
+    async def compute(self, work: Callable[[], T], _: str = "") -> T:
+        return work()
+
+    async def stop(self) -> None:
+        """End."""
+
+
+class _AskedService(Service):
+    """Service that keeps each answer as it was made.
+
+    Attributes:
+        made: the last answer.
+    """
+
+    def __init__(self, source: Source) -> None:
+        super().__init__(source)
+        self.workers = cast("AnswerWorkers", _Within())
+        self._totals = SweepTotals(self.workers)
+        self.made: Body | None = None
+
+    async def answer_with(
+        self,
+        request: Request,  # noqa: ARG002
+        gather: Callable[[Snapshot], Awaitable[G]],
+        compute: Callable[[Snapshot, G], Body],
+        little: Callable[[Snapshot], bool] | None = None,  # noqa: ARG002
+    ) -> Response:
+        """Compute an answer, and keep it."""
+        snapshot = await self.fresh()
+        self.made = compute(snapshot, await gather(snapshot))
+        return Response(status_code=200)
+
+
+@dataclass(frozen=True)
+class Refused:
+    """Answer to a question that has none: its status, and what it says."""
+
+    status: int
+    said: dict[str, Any]
+
+
+class Asker:
+    """Asks the API of a source."""
+
+    def __init__(self, source: Published) -> None:
+        self._service = _AskedService(cast("Source", source))
+        self._app = application(self._service)
+
+    async def ask(self, question: str) -> Body | Refused:
+        """Return the answer at an address of the API, which is one for programs: path and query string."""
+        path, _, query = question.partition("?")
+        scope = {
+            "type": "http",
+            "asgi": {"version": "3.0"},
+            "http_version": "1.1",
+            "method": "GET",
+            "scheme": "http",
+            "path": unquote(path),
+            "raw_path": path.encode(),
+            "root_path": "",
+            "query_string": query.encode(),
+            "headers": [(b"host", b"localhost")],
+            "client": None,
+            "server": ("localhost", 80),
+        }
+        parts: list[bytes] = []
+        status = 0
+
+        async def receive() -> dict[str, Any]:
+            return {"type": "http.request", "body": b"", "more_body": False}
+
+        async def send(message: Any) -> None:
+            nonlocal status
+            status = message.get("status", status)
+            parts.append(message.get("body", b""))
+
+        self._service.made = None
+        await self._app(scope, receive, send)
+        if self._service.made is not None and status == 200:
+            return self._service.made
+        return Refused(status, json.loads(b"".join(parts) or b"{}"))
+
+
+def address(path: str, *pairs: tuple[str, str]) -> str:
+    """Return an address of the API, escaped as the pages do it; pairs without a value are left out."""
+    query = "&".join(f"{escaped(name)}={escaped(value)}" for name, value in pairs if value)
+    return f"{path}?{query}" if query else path
+
+
+def escaped(text: str) -> str:
+    """Return a text as JavaScript's encodeURIComponent has it."""
+    return quote(text, safe=_UNESCAPED)
+
+
+def canonical(question: str) -> str:
+    """Return an address with its pairs in one order: the key that the pages look an answer up by."""
+    path, _, query = question.partition("?")
+    pairs = sorted(pair for pair in query.split("&") if pair)
+    return f"{path}?{'&'.join(pairs)}" if pairs else path

@@ -1,0 +1,296 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Building of a site: all answers asked of the dashboard's own API, then the files that lead to them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from html import escape
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+import numpy as np
+
+from slamhive import __version__
+from slamhive.analysis.selection import first_rows
+from slamhive.dashboard.answering.encoding import Body, encode_csv
+from slamhive.dashboard.answers.catalog import sweep_names
+from slamhive.dashboard.server.security import CONTENT_POLICY
+from slamhive.dashboard.publishing import questions, table
+from slamhive.dashboard.publishing.asking import Asker, Published, Refused, canonical
+from slamhive.dashboard.publishing.feed import badge, feed, places
+from slamhive.dashboard.publishing.folder import FORMAT, KIND, MARK, SiteFolder
+from slamhive.dashboard.publishing.runpages import RunPages
+from slamhive.model.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from importlib.resources.abc import Traversable
+    from pathlib import Path
+
+    from slamhive.analysis.frame import Frame
+    from slamhive.dashboard.publishing.feed import Place
+    from slamhive.dashboard.sources.archived import Snapshot, Source
+
+TITLE = "SLAM Hive"
+MOST_TITLE = 200
+_ROOT = re.compile(r'(href|src)="/(?!/)')
+_NO_SCRIPT = (
+    '<noscript>These pages need JavaScript. What is new here: <a href="feed.xml">feed.xml</a>.</noscript>'
+)
+
+
+@dataclass(frozen=True)
+class BuiltSite:
+    """What came of building a site.
+
+    Attributes:
+        runs: that it shows.
+        answers: questions that it answers.
+        added: files that were added or changed.
+        bytes: of those.
+        files: in the folder by now.
+        size: bytes of those.
+        badges: places of competitors that have badges.
+    """
+
+    runs: int
+    answers: int
+    added: int
+    bytes: int
+    files: int
+    size: int
+    badges: Sequence[Place]
+
+
+@dataclass(frozen=True)
+class SiteWish:
+    """What a site is to be.
+
+    Attributes:
+        sweeps: whose runs it shows; empty for all.
+        title: what its pages are called.
+        base_url: the address that it will have; empty where nobody knows yet.
+    """
+
+    sweeps: Sequence[str] = ()
+    title: str = TITLE
+    base_url: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.title.strip() or len(self.title) > MOST_TITLE or not self.title.isprintable():
+            raise InputError(f"expected 1 to {MOST_TITLE} characters that can be printed", "title")
+        if self.base_url:
+            parts = urlsplit(self.base_url)
+            if parts.scheme not in {"http", "https"} or not parts.netloc or parts.query or parts.fragment:
+                raise InputError(
+                    f"expected an address such as https://lab.example/slam/, found {self.base_url[:200]!r}",
+                    "base-url",
+                )
+
+    @property
+    def base(self) -> str:
+        """The address with a slash at its end, or nothing."""
+        return f"{self.base_url.rstrip('/')}/" if self.base_url else ""
+
+
+async def build(
+    path: Path, source: Source, wish: SiteWish, tell: Callable[[str], None] = lambda _: None
+) -> BuiltSite:
+    """Write a site, or bring one up to date.
+
+    Args:
+        path: its folder.
+        source: where the runs are.
+        wish: what it is to be.
+        tell: called with what is being done.
+
+    Raises:
+        InputError: the folder holds something else, or there is nothing to show.
+    """
+    folder = SiteFolder(path)
+    with ThreadPoolExecutor(1, thread_name_prefix="look") as executor:
+        await source.start(executor)
+        try:
+            published = Published(source, await source.fresh(), wish.sweeps)
+            return await _Building(folder, published, await published.fresh(), wish, tell).built()
+        finally:
+            await source.stop()
+
+
+class _Building:
+    def __init__(
+        self,
+        folder: SiteFolder,
+        source: Published,
+        snapshot: Snapshot,
+        wish: SiteWish,
+        tell: Callable[[str], None],
+    ) -> None:
+        self._folder = folder
+        self._source = source
+        self._snapshot = snapshot
+        self._wish = wish
+        self._tell = tell
+        self._asker = Asker(source)
+        self._answers: dict[str, Any] = {}
+        self._files: dict[str, str] = {}
+        self._tables: dict[str, str] = {}
+        self._refused: dict[str, Any] = {}
+        self._conditions: list[str] = []
+
+    async def built(self) -> BuiltSite:
+        frame = self._snapshot.frame
+        if not len(frame):
+            raise InputError("there are no finished runs to show: slamhive run SWEEP.yaml makes some")
+        before = self._folder.before
+        shown = self._folder.read(before["index"]) if before else None
+        runs = [str(uid) for uid in frame.select(first_rows(frame)).column("uid").tolist()]
+        self._tell("answers")
+        await self._ask_all()
+        self._tell("table")
+        columns = table.written(self._folder, frame, self._conditions)
+        self._tell("runs")
+        pages = RunPages(self._folder, self._source, self._snapshot, len(runs))
+        directory = pages.written(runs, self._folder.read(shown["runs"]) if shown else None)
+        index = {
+            "answers": self._files,
+            "csv": self._tables,
+            "refused": self._refused,
+            "table": columns,
+            "runs": self._folder.keep(directory),
+        }
+        ranks = list(self._ranks(frame))
+        self._lead_to(self._folder.keep(index), ranks, frame)
+        count, size = self._folder.size()
+        return BuiltSite(len(runs), len(self._files), *self._folder.written, count, size, ranks)
+
+    async def _ask_all(self) -> None:
+        columns = questions.AskedColumns(await self._ask(f"{questions.API}/columns"))
+        sweeps = sorted(sweep_names(self._snapshot.frame))
+        named = {
+            "sweeps": [name for _, name in sweeps],
+            "algorithms": columns.names("algorithm"),
+            "datasets": columns.names("dataset"),
+        }
+        for question in questions.general(named):
+            await self._ask(question)
+        for view in questions.views(columns, list(dict.fromkeys(named["sweeps"]))):
+            asked = columns
+            if view:
+                question = questions.address(f"{questions.API}/columns", *view)
+                asked = questions.AskedColumns(await self._ask(question))
+            for question in questions.of_view(view, asked):
+                await self._ask(question)
+        for question in questions.of_all(columns):
+            await self._ask(question)
+        self._conditions = questions.conditions(columns)
+
+    async def _ask(self, question: str) -> Any:
+        """Ask, keep the answer and its table, and return it; a refusal is kept as one."""
+        key = canonical(question)
+        if key in self._answers:
+            return self._answers[key]
+        found = await self._asker.ask(question)
+        if isinstance(found, Refused):
+            self._refused[key] = {"status": found.status, **found.said}
+            self._answers[key] = None
+            return None
+        assert isinstance(found, Body)
+        self._files[key] = self._folder.keep(found.content)
+        if found.columns is not None:
+            self._tables[key] = self._folder.keep_text(encode_csv(found.columns()))
+        self._answers[key] = found.content
+        return found.content
+
+    def _ranks(self, frame: Frame) -> Iterator[Place]:
+        """Go through the places on the first board, that of most competitors."""
+        names = ("algorithm", "sensors", "dataset")
+        finished = frame.column("finished").floats()
+        dates: dict[tuple[str, ...], float] = {}
+        for *key, at in zip(*(frame.column(name).tolist() for name in names), finished, strict=True):
+            told = tuple(map(str, key))
+            dates[told] = np.fmax(dates.get(told, np.nan), at)
+        days = {key: _moment(at)[:10] for key, at in dates.items() if at == at}  # noqa: PLR0124
+        asked = ("metric", questions.ERROR), ("by", questions.COMPETITORS[0]), ("outcomes", "tracked")
+        found = self._answers.get(
+            canonical(questions.address(f"{questions.ANALYSIS}/leaderboard", *asked))
+        )
+        boards = (found or {}).get("boards") or []
+        if boards:
+            yield from places(max(boards, key=lambda board: len(board["entries"])), days)
+
+    def _lead_to(self, index: str, ranks: Iterable[Place], frame: Frame) -> None:
+        """Write what leads to the answers: the feed and the badges, then the pages, the mark last."""
+        ranks = list(ranks)
+        ended = frame.column("finished").floats()
+        updated = _moment(float(np.nanmax(ended))) if np.isfinite(ended).any() else _moment(0.0)
+        sweeps = (self._answers.get(f"{questions.API}/sweeps") or {}).get("items") or []
+        atom = feed(self._wish.title, self._wish.base, updated, sweeps, ranks)
+        self._folder.replace("feed.xml", atom)
+        for place in ranks:
+            self._folder.replace(place.file, badge(place))
+        static = files("slamhive.dashboard").joinpath("static")
+        pages = self._keep_pages(static)
+        home = static.joinpath("index.html").read_text("utf-8")
+        self._folder.replace("index.html", _index_html(home, pages, self._wish).encode())
+        mark = {
+            "kind": KIND,
+            "format": FORMAT,
+            "slamhive": __version__,
+            "title": self._wish.title,
+            "updated": updated,
+            "index": index,
+        }
+        self._folder.replace(MARK, json.dumps(mark, indent=1).encode() + b"\n")
+
+    def _keep_pages(self, static: Traversable) -> str:
+        """Keep the pages' code in a folder called by its content, and return its address."""
+        # A site may lie below any address: what the pages name from the root is named from beside them.
+        found = {
+            name: content.replace(b"'/vendor/", b"'../vendor/") if name.startswith("core/") else content
+            for name, content in _files_below(static)
+            if name != "index.html"
+        }
+        digest = hashlib.sha256(b"\0".join(name.encode() + content for name, content in sorted(found.items())))
+        folder = f"pages/{digest.hexdigest()[:12]}"
+        for name, content in found.items():
+            self._folder.keep_file(f"{folder}/{name}", content)
+        return folder
+
+
+def _files_below(folder: Traversable, prefix: str = "") -> Iterator[tuple[str, bytes]]:
+    for place in sorted(folder.iterdir(), key=lambda one: one.name):
+        name = f"{prefix}{place.name}"
+        if place.is_dir():
+            yield from _files_below(place, f"{name}/")
+        else:
+            yield name, place.read_bytes()
+
+
+def _index_html(home: str, pages: str, wish: SiteWish) -> str:
+    """Return the page that a site begins with, of the dashboard's own.
+
+    Args:
+        home: of the dashboard.
+        pages: folder of the pages' code.
+        wish: what the site is to be.
+    """
+    policy = f'<meta http-equiv="Content-Security-Policy" content="{CONTENT_POLICY.strip()}">'
+    kind = '<meta name="slamhive-site" content="1">\n<meta name="referrer" content="no-referrer">'
+    address = f'<link rel="canonical" href="{escape(wish.base)}">\n' if wish.base else ""
+    atom = f'<link rel="alternate" type="application/atom+xml" href="feed.xml" title="{escape(wish.title)}">'
+    head = f"\n{policy}\n{kind}\n{address}{atom}"
+    text = _ROOT.sub(rf'\1="{pages}/', home)
+    text = text.replace('<meta charset="utf-8">', f'<meta charset="utf-8">{head}', 1)
+    text = re.sub(r"<title>.*?</title>", lambda _: f"<title>{escape(wish.title)}</title>", text, count=1)
+    return re.sub(r"<noscript>.*?</noscript>", lambda _: _NO_SCRIPT, text, count=1, flags=re.DOTALL)
+
+
+def _moment(seconds: float) -> str:
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")

@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Questions that a site has answers to: what its pages ask by themselves, and by choices that can be counted.
+
+Points, runs and their orders aren't among them: pages take those of the table (``dashboard/publishing/table.py``).
+``tests/dashboard_pages/test_site.py`` walks the pages, so that what one asks anew is missed there.
+"""
+
+from __future__ import annotations
+
+import re
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+from slamhive.dashboard.publishing.asking import address, escaped
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    View = tuple[tuple[str, str], ...]
+
+API = "/api/v1"
+ANALYSIS = f"{API}/analysis"
+COMPETITORS = ("algorithm,sensors", "algorithm")
+VERSIONS = "algorithm,sensors,algorithm.version"
+ERROR = "ate.rmse"
+_LOADS = ("usage.cpu.secondsPerDataSecond", "usage.cpu.meanCores")
+MEASURES = (
+    *(ERROR, "rpe[0].rmse", "coverage", "usage.memory.peakBytes"),
+    *("beside.online.ate.rmse", "metrics.latencySeconds.p95"),
+)
+MOST_VIEWS = 60
+"""Sweeps, datasets and algorithms that have leaderboards and studies of their own."""
+
+MOST_SETTINGS = 10
+MOST_VALUES = 40
+_SETTINGS = frozenset({"parameters", "input", "resources"})
+_NUMBERS = frozenset({"number", "integer"})
+_SUBJECTS = ("algorithm", "sensors", "dataset")
+_TABLES = (
+    (
+        "sensors,algorithm,dataset",
+        "ate.rmse,usage.cpu.meanCores,usage.cpu.maxCores,usage.memory.peakBytes",
+        "dataset != 'rgbd-dataset-freiburg2-desk' and run not in (53, 103, 122)",
+    ),
+    (
+        "parameters.nFeatures",
+        "ate.rmse,rpe[0].rmse,usage.cpu.meanCores,usage.cpu.maxCores,usage.memory.peakBytes",
+        "dataset == 'rgbd-dataset-freiburg2-desk' and run not in (124, 139, 140)",
+    ),
+)
+"""The paper's tables, as core/questions.js has them."""
+
+_PLAYED = ("input.pace in ('Realtime', 'Stepped')", "beside.online.ate.rmse is not null")
+_FEATURES = re.compile(r"parameters\..*(n|num|max)_?features?", re.IGNORECASE)
+
+
+class AskedColumns:
+    """Columns of some runs, by what is asked of them.
+
+    Attributes:
+        measures: figures that drawings are made of.
+        settings: settings that vary over few values, the most varied first.
+        features: the parameter that is a number of features, if one varies.
+        tags: of runs.
+        superseded: whether there are runs of earlier versions.
+
+    Args:
+        answer: of /api/v1/columns.
+    """
+
+    def __init__(self, answer: Mapping[str, Any]) -> None:
+        self._items = {one["name"]: one for one in answer["items"]}
+        known = [name for name in MEASURES if self._count(name)]
+        played = "Realtime" in self.names("input.pace")  # as cpuColumn of core/format.js
+        cpu = next((name for name in _LOADS[played:] if self._count(name)), None)
+        self.measures = [*known[:1], *([cpu] if cpu else []), *known[1:]]
+        self.varied = [
+            name
+            for name in answer["varied"]
+            if self._items[name]["kind"] in _NUMBERS and self._items[name]["distinct"] > 1
+        ]
+        asked = [one for one in answer["items"] if one["group"] in _SETTINGS]
+        asked = [one for one in asked if 1 < one["distinct"] <= MOST_VALUES]
+        asked.sort(key=lambda one: (one["name"] not in self.varied, -one["distinct"]))
+        self.settings = [one["name"] for one in asked[:MOST_SETTINGS]]
+        self.features = [name for name in self._items if _FEATURES.fullmatch(name) and self.varies(name)][:1]
+        self.tags = sorted({str(tag) for one in self._items.get("tags", {}).get("values") or [] for tag in one["value"]})
+        self.superseded = bool(self._count("superseded"))
+
+    def _count(self, name: str) -> int:
+        return int(self._items.get(name, {}).get("count", 0))
+
+    def varies(self, name: str) -> bool:
+        """Tell whether a column has several values."""
+        return bool(self._items.get(name, {}).get("distinct", 0) > 1)
+
+    def names(self, name: str) -> list[str]:
+        """Return the values of a column of few values, those of most runs first."""
+        values = sorted(self._items.get(name, {}).get("values") or [], key=lambda one: -one["count"])
+        return [str(one["value"]) for one in values]
+
+
+def general(names: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """Go through what is asked of all that there is.
+
+    Args:
+        names: of algorithms, datasets and sweeps, by what the API calls them.
+    """
+    yield from (API, f"{API}/columns")
+    for kind, known in names.items():
+        yield f"{API}/{kind}"
+        for name in known:
+            yield f"{API}/{kind}/{escaped(name)}"
+            if kind == "datasets":
+                yield f"{API}/{kind}/{escaped(name)}/overview"
+            if kind == "sweeps":
+                yield address(f"{API}/{kind}/{escaped(name)}/search")
+    yield from (f"{API}/evaluations", f"{ANALYSIS}/suspects", f"{ANALYSIS}/suspects/truth")
+
+
+def views(columns: AskedColumns, sweeps: Sequence[str]) -> list[View]:
+    """Return the filters that pages lead to: none, each sweep, each dataset, each algorithm."""
+    each = [("sweep", name) for name in sweeps]
+    each += [(name, value) for name in ("dataset", "algorithm") for value in columns.names(name)]
+    return [(), *((one,) for one in each[:MOST_VIEWS])]
+
+
+def of_view(view: View, columns: AskedColumns) -> Iterator[str]:
+    """Go through what is asked of the runs that some filters mean, by the pages themselves."""
+    tracked = ("outcomes", "tracked")
+    yield address(f"{ANALYSIS}/published", *view)
+    for by in COMPETITORS if not view else COMPETITORS[:1]:
+        yield address(f"{ANALYSIS}/leaderboard", *view, ("metric", ERROR), ("by", by), tracked)
+        yield address(f"{ANALYSIS}/compare", *view, ("metric", ERROR), ("by", by), tracked)
+        yield address(f"{ANALYSIS}/common", *view, ("by", by), ("outcomes", "all"))
+    for name in ("importance", "repeatability"):
+        yield address(f"{ANALYSIS}/{name}", *view, ("metric", ERROR))
+    for name in ("robustness", "timeline", "suspects"):
+        yield address(f"{ANALYSIS}/{name}", *view)
+    yield address(f"{ANALYSIS}/versions", *view, ("metric", ERROR), tracked)
+    yield address(f"{ANALYSIS}/aggregate", *view, ("metrics", ERROR), tracked)
+    apart = columns.varies("dataset")
+    for by in ("algorithm", *columns.varied[:1]):
+        joined = ",".join(dict.fromkeys([by, "algorithm"]))
+        yield address(f"{ANALYSIS}/aggregate", *view, ("by", joined), ("metrics", ERROR), tracked)
+    if view and view[0][0] == "sweep":
+        for setting, metric in product(columns.varied[:4], columns.measures[:4]):
+            by = f"{setting},dataset" if apart else setting
+            yield address(f"{ANALYSIS}/aggregate", *view, ("by", by), ("metrics", metric), tracked)
+
+
+def of_all(columns: AskedColumns) -> Iterator[str]:
+    """Go through what is asked of all runs, by the choices that pages offer."""
+    for which in ("tracked", "all"):
+        outcomes = ("outcomes", which)
+        for metric in columns.measures if which == "tracked" else [ERROR]:
+            asked = ("metric", metric)
+            yield address(f"{ANALYSIS}/leaderboard", asked, ("by", COMPETITORS[0]), outcomes)
+            yield address(f"{ANALYSIS}/compare", asked, ("by", COMPETITORS[0]), outcomes)
+            yield address(f"{ANALYSIS}/aggregate", ("metrics", metric), outcomes)
+            yield address(f"{ANALYSIS}/slices", asked, outcomes)
+            for by in ("algorithm", "sensors", "dataset", "algorithm,dataset"):
+                for over in ("", "dataset"):
+                    if not (over and "dataset" in by):
+                        yield address(f"{ANALYSIS}/ecdf", ("by", by), ("over", over), asked, outcomes)
+            for setting, other in product(columns.settings[:3], [*columns.settings[:3], "algorithm"]):
+                if setting != other:
+                    yield address(f"{ANALYSIS}/surface", ("x", setting), ("y", other), asked, outcomes)
+    for metric in columns.measures:
+        yield address(f"{ANALYSIS}/importance", ("metric", metric))
+        yield address(f"{ANALYSIS}/repeatability", ("metric", metric))
+        for by in _groups(columns):
+            asked_by = ("by", ",".join(by))
+            yield address(f"{ANALYSIS}/aggregate", asked_by, ("metrics", metric), ("outcomes", "tracked"))
+    for cost in columns.measures[1:]:
+        yield address(f"{ANALYSIS}/pareto", ("x", cost), ("y", ERROR), ("by", "algorithm,sensors"))
+    if columns.superseded:
+        yield address(f"{API}/columns", ("superseded", "1"))
+        asked = ("superseded", "1"), ("metric", ERROR), ("by", VERSIONS), ("outcomes", "tracked")
+        yield address(f"{ANALYSIS}/leaderboard", *asked)
+        yield address(f"{ANALYSIS}/compare", *asked)
+    for name, apart in product(columns.features, (True, False)):
+        by = f"{name},dataset" if apart and columns.varies("dataset") else name
+        loads = [*columns.measures[1:2], "usage.memory.peakBytes"]
+        asked = ("where", f"{_quoted(name)} is not null"), ("by", by)
+        for metrics in (ERROR, ",".join([ERROR, *loads])):
+            yield address(f"{ANALYSIS}/aggregate", *asked, ("metrics", metrics), ("outcomes", "tracked"))
+    if "slam-hive" in columns.names("label.source"):
+        for by, metrics, where in _TABLES:
+            asked = ("where", where), ("by", by), ("metrics", metrics), ("outcomes", "all")
+            yield address(f"{ANALYSIS}/aggregate", *asked)
+
+
+def conditions(columns: AskedColumns) -> list[str]:
+    """Return the conditions that pages put by themselves, as they put them."""
+    found = [where for _, _, where in _TABLES] + ["superseded is not null", *_PLAYED]
+    found += [f"{_quoted(name)} is not null" for name in columns.features]
+    return found + [f"tags contains '{tag}'" for tag in columns.tags]
+
+
+def _quoted(name: str) -> str:
+    """Return a column's name as it stands in a condition, as core/questions.js does it."""
+    return name if re.fullmatch(r"[A-Za-z_][A-Za-z0-9_.]*", name) else f"`{name}`"
+
+
+def _groups(columns: AskedColumns) -> Iterator[tuple[str, ...]]:
+    """Go through the columns that lines, boxes, heat maps and small multiples tell groups apart by."""
+    subjects = [name for name in _SUBJECTS if columns.varies(name)] or ["algorithm"]
+    for name in dict.fromkeys([*subjects, "algorithm"]):
+        yield (name,)
+        for other in subjects:
+            if other != name:
+                yield (name, other)
+    for setting in columns.settings:
+        yield (setting,)
+        for name in subjects:
+            yield (setting, name)
+        if {"algorithm", "dataset"} <= set(subjects):
+            yield (setting, "algorithm", "dataset")
