@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 _MAX_SHARE = 0.02
 """An ATE above this share of the path says that something is wrong with the frame, the stamp or the scale."""
 MANY_DROPPED = 0.1
-"""Who drops more than this share of the frames doesn't keep up, which may be why the ATE is large."""
+"""Share of frames dropped above which a program doesn't keep up, which may be why the ATE is large."""
 TOO_SLOW = "is the machine busy, or the program too slow? try again when it is quiet"
 _CLEARLY = 0.85
 """A reading of the poses is clearly better than another when its error is below this share of that one's."""

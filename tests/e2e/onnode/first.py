@@ -105,7 +105,7 @@ def metrics(lab: Lab) -> str:
 
 
 def restarts(lab: Lab) -> dict[str, Any]:
-    """Return how its last container ended, and what events say, of each pod of the operator."""
+    """Return the restarts of each pod of the operator, with the last end and the warnings in events."""
     found = {}
     for pod in lab.get("pods", "-l", "app.kubernetes.io/component=operator")["items"]:
         name = pod["metadata"]["name"]
