@@ -16,7 +16,7 @@ import httpx
 import pytest
 import yaml
 from onnode.documents import ROOT
-from onnode.lab import manifest
+from onnode.lab import OPERATOR, manifest
 from onnode.node import processes
 from testcluster.access import until
 
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from onnode.lab import Lab
 
 POD = ("-l", "app.kubernetes.io/component=dashboard")
-OPERATOR = ("-l", "app.kubernetes.io/component=operator")
 BROKEN = (httpx.HTTPError, AssertionError, ValueError)
 
 

@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 from onnode.documents import ROOT
-from onnode.lab import RUNS, manifest, needed_one_attempt
+from onnode.lab import OPERATOR, RUNS, manifest, needed_one_attempt
 from onnode.node import processes
 from testcluster.access import until
 
 if TYPE_CHECKING:
     from onnode.lab import Lab
 
-OPERATOR = ("-l", "app.kubernetes.io/component=operator")
 GONE_SECONDS = 240
 SLOW, SLOWER = 3, 1.5
 """Frame rates, Hz, that no other test of this installation plays: what prepares them is this test's own."""

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 API_VERSION = "slamhive.io/v1alpha1"
 DATASET = "synthetic-lidar"
+OPERATOR = ("-l", "app.kubernetes.io/component=operator")
 RUNS = "mappingruns.slamhive.io"
 SECONDS = 300.0
 FRAMES = 80
