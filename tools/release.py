@@ -33,12 +33,15 @@ from release_checks import CHARTS, ROOT, Changes, changes, git, problems, versio
 sys.path += [str(ROOT / "images"), str(ROOT / "tests" / "cluster")]
 
 from building.packages import Package, listing
+from building.tools import machine
 from testcluster import programs
 from testcluster.errors import ClusterError
 
 PLACE = ROOT / "dist" / "release"
 SUMS = "SHA256SUMS"
-IMAGES = ("slamhive", "evaluator", "ros1-player", "ros2-player")
+IMAGES = ["slamhive", "evaluator", "ros1-player"]
+if machine() == "amd64":
+    IMAGES.append("ros2-player")  # whose wheels are for that alone
 DISTRIBUTIONS = {"slamhive-eval": "evaluator", "slamhive": "."}
 """Folders of the distributions, in the order in which they are uploaded."""
 
@@ -257,7 +260,7 @@ def main() -> int:
     text = f"of container images, or none; default: {' '.join(IMAGES)}"
     parser.add_argument("images", nargs="*", metavar="NAME", help=text)
     asked = parser.parse_args().images
-    return release([] if asked == ["none"] else asked or list(IMAGES))
+    return release([] if asked == ["none"] else asked or IMAGES)
 
 
 if __name__ == "__main__":

@@ -38,8 +38,8 @@ def said(folder: Path, *words: str, **variables: str) -> str:
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_every_shell_is_given_commands_and_their_own_commands(command: Path, shell: str) -> None:
-    script = said(command, "slamhive", "--show-completion", shell)
-    assert "_SLAMHIVE_COMPLETE" in script
+    script = said(command, "slamhive", _SLAMHIVE_COMPLETE=f"source_{shell}")
+    assert f"_SLAMHIVE_COMPLETE=complete_{shell}" in script
     for line, expected in (("slamhive ", {"run", "results"}), ("slamhive results ", {"table", "export"})):
         asked = {
             "bash": {"COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))},
@@ -53,7 +53,7 @@ def test_every_shell_is_given_commands_and_their_own_commands(command: Path, she
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
 def test_bash_completes_what_is_typed(command: Path) -> None:
     script = """
-        eval "$(slamhive --show-completion bash)"
+        eval "$(env _SLAMHIVE_COMPLETE=source_bash slamhive)"
         COMP_WORDS=(slamhive results export --to re) COMP_CWORD=4
         _slamhive_completion slamhive
         echo "${COMPREPLY[@]}"

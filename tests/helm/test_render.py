@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import yaml
+from release import repack
+from release_checks import CHARTS as CHARTS_RELEASED
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -142,3 +144,17 @@ def test_changed_settings_restart_the_operator(helm: Any) -> None:
 
     assert checksum() == checksum("--set", "operator.resources.limits.cpu=1")
     assert checksum() != checksum("--set", "settings.workers=9")
+
+
+@pytest.mark.parametrize("chart", CHARTS_RELEASED)
+def test_a_released_archive_is_equal_each_time_and_renders_as_its_folder(
+    helm: Any, chart: str, tmp_path: Path
+) -> None:
+    made = []
+    for name in ("first", "second"):
+        helm.run("package", str(CHARTS / chart), "--destination", str(tmp_path / name))
+        (packed,) = (tmp_path / name).iterdir()
+        repack(packed, tmp_path / f"{name}.tgz", 1_700_000_000)
+        made.append(tmp_path / f"{name}.tgz")
+    assert made[0].read_bytes() == made[1].read_bytes()
+    assert helm.text(chart=made[0]) == helm.text(chart=CHARTS / chart)

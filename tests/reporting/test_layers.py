@@ -82,8 +82,8 @@ def test_one_viewer_shows_truth_all_runs_and_errors_over_time(
     assert "1 run: its files are not here" in err
     hall, yard = sorted((home.parent / "layers").iterdir())
     layers = sorted(path for path in hall.iterdir() if path.suffix == ".rrd")
-    names = [path.stem.rpartition("-")[0] for path in layers]
-    assert names == ["groundtruth", "study-0", "study-1", "study-3"]
+    names = [path.stem.rpartition("-")[0] or path.stem for path in layers]
+    assert names == ["groundtruth", "layout", "study-0", "study-1", "study-3"]
     rerun("verify", *layers)
     rerun("merge", *layers, "-o", "all.rrd")
 
@@ -98,13 +98,13 @@ def test_one_viewer_shows_truth_all_runs_and_errors_over_time(
         columns = zip(batch.schema.names, batch.columns, strict=True)
         values.setdefault(chunk.entity_path, {}).update({name: one.to_pylist() for name, one in columns})
     for number, error in enumerate((0.5, 0.25)):
-        stem = layers[number + 1].stem
+        stem = layers[number + 2].stem
         scalars = np.ravel(values[f"/error_metres/{stem}"]["Scalars:scalars"])
         assert scalars == pytest.approx(np.full(COUNT, error))
         assert len(values[f"/world/{stem}/pose"]["Points3D:positions"]) == COUNT
         assert values[f"/usage/cpu_cores/{stem}"]["Scalars:scalars"] == [[1.0], [2.0]]
     assert f"/world/{layers[0].stem}" in values
-    assert f"/run/{layers[3].stem}" in values
+    assert f"/run/{layers[4].stem}" in values
 
 
 def test_only_what_is_new_is_written(rerun: Callable[..., str], home: Path, run_command: Any) -> None:

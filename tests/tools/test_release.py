@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What make release refuses, and that charts and lists of packages are equal whenever they are made."""
+"""Refusals of make release; charts and lists of packages that are equal whenever they are made."""
 
 from __future__ import annotations
 

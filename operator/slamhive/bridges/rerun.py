@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 APPLICATION = "slamhive"
 MARK = "slamhive.json"
 NEXT = "rerun {folder}/DATASET/*.rrd"
-TRUTH = "groundtruth"
+TRUTH, LAYOUT = "groundtruth", "layout"
 MOST_POSES = 20_000
 """Poses and samples of usage that are shown."""
 LINE = "sensor time"
@@ -47,7 +47,7 @@ _NOTHING = (FileMissingError, FileTooLargeError)
 Colour = tuple[int, int, int]
 
 
-class _Layer(NamedTuple):
+class _RunLayer(NamedTuple):
     """A run's part of a recording: its path over the ground truth, its load and what is missing."""
 
     path: dict[str, Any] | None
@@ -75,7 +75,7 @@ def _digest(*parts: dict[str, Any] | None) -> str:
     return total.hexdigest()
 
 
-def layer_of(record: RunRecord, here: Here, place: ArtifactFolder, result: Result | None) -> _Layer:
+def layer_of(record: RunRecord, here: Here, place: ArtifactFolder, result: Result | None) -> _RunLayer:
     """Read what there is to show of a run.
 
     Args:
@@ -99,7 +99,7 @@ def layer_of(record: RunRecord, here: Here, place: ArtifactFolder, result: Resul
         stamps = sensor_times(usage["t"], record, place, configuration)
     except _NOTHING as error:
         notes.append(str(error))
-    return _Layer(path, usage, stamps, notes)
+    return _RunLayer(path, usage, stamps, notes)
 
 
 class RerunRecorder:
@@ -122,7 +122,7 @@ class RerunRecorder:
         """Show the ground truth."""
         self._path(f"world/{name}", columns, _TRUTH)
 
-    def layer(self, layer: _Layer) -> None:
+    def layer(self, layer: _RunLayer) -> None:
         """Show a run's path, errors and load over time; load by sensor time where that is known."""
         self._stream.log("world", self._rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         if layer.path is not None:
@@ -157,6 +157,16 @@ class RerunRecorder:
         table = "\n\n".join((f"| {record.name} | |\n|---|---|\n{text}", *notes))
         document = self._rr.TextDocument(table, media_type="text/markdown")
         self._stream.log(f"run/{self._run}".rstrip("/"), document, static=True)
+
+    def layout(self) -> None:
+        """Show paths beside errors and loads of all runs: left to itself Rerun gives each run a tab."""
+        views = library("rerun.blueprint", "rerun", "a layout")
+        series = {"error [m]": "error_metres", "CPU [cores]": "usage/cpu_cores"}
+        series["memory [MiB]"] = "usage/memory_mebibytes"
+        curves = [views.TimeSeriesView(name=name, origin=place) for name, place in series.items()]
+        paths = views.Spatial3DView(name="paths", origin="world")
+        beside = views.Horizontal(paths, views.Vertical(*curves))
+        self._stream.send_blueprint(views.Blueprint(beside, auto_views=False))
 
     def _path(self, name: str, columns: dict[str, Any], colour: Colour) -> None:
         """Show a path as a line, and where it is at each time as a point."""
@@ -209,15 +219,16 @@ class Writer:
         place = self._source.place(record)
         result = next((one for one in record.results if one.evaluation in run.evaluations), None)
         if place is None:
-            layer = _Layer(None, None, None, ["its files are not here"])
+            layer = _RunLayer(None, None, None, ["its files are not here"])
         else:
             layer = layer_of(record, self._source, place, result)
         for note in layer.notes:
             self.missing[note] = self.missing.get(note, 0) + 1
 
-        folder = _Folder(
+        folder = _DatasetLayers(
             self._rr, self._folder, run.tags.get("dataset", "unknown"), run.tags.get("dataset.version")
         )
+        folder.write(LAYOUT, {"digest": str(_FORMAT)}, RerunRecorder.layout)
         truth = None
         if layer.reference is not None:
             seen = _digest(layer.reference)
@@ -236,7 +247,7 @@ class Writer:
         """Nothing is open between two runs."""
 
 
-class _Folder:
+class _DatasetLayers:
     """The layers of a dataset: files, and a list of what each shows."""
 
     def __init__(self, rr: Any, folder: Path, dataset: str, version: str | None) -> None:
@@ -282,7 +293,7 @@ class _Folder:
         runs = {name: mark for name, mark in self._marks.items() if "truth" in mark}
         used = {mark["truth"] for mark in runs.values()}
         newest = next(reversed(self._marks))
-        for name in set(self._marks) - set(runs) - used - {newest}:
+        for name in set(self._marks) - set(runs) - used - {newest, LAYOUT}:
             del self._marks[name]
             (self._path / f"{name}.rrd").unlink(missing_ok=True)
 
