@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bundles: equal bytes, figures that come out alike elsewhere, and what is wrong with those that were changed."""
+"""Bundles: equal bytes, figures that come out alike elsewhere, and mistakes of those that were changed."""
 
 from __future__ import annotations
 
@@ -72,6 +72,7 @@ def test_figures_agree_where_nobody_knows_the_system(
 
 @pytest.mark.parametrize("name", ["runs", "study.json", "manifests/sweep.yaml", "ro-crate-metadata.json"])
 def test_one_byte_that_changed_is_named(
+    *,
     elsewhere: Path,
     study: Path,
     trajectories: list[str],
@@ -123,36 +124,30 @@ def test_figures_that_were_made_up_are_named(
     assert told[-1]["differ"] == 1
 
 
+BROKEN: dict[str, dict[str, bytes | None]] = {
+    "lacks a file": {"{trajectory}": None},
+    "lacks the crate": {"ro-crate-metadata.json": None},
+    "leaves its folder": {"../outside.txt": b"x"},
+    "holds more": {"runs/more.txt": b"x"},
+    "another form": {"study.json": b'{"form": "slamhive-study/9"}'},
+    "no JSON": {"study.json": b"[" * 100_000},
+    "a wrong field": {"study.json": b'{"form": "slamhive-study/1", "name": 3}'},
+    "a wrong name": {"{run}": b'{"record": {"uid": "u", "name": "../x", "spec": {}, "phase": "Failed"}}'},
+}
+
+
 def broken(rezip: Callable[..., Path], kind: str, trajectory: str, folder: Path) -> Path:
-    match kind:
-        case "lacks a file":
-            return rezip({trajectory: None})
-        case "lacks the crate":
-            return rezip({"ro-crate-metadata.json": None})
-        case "leaves its folder":
-            return rezip({"../outside.txt": b"x"})
-        case "holds more":
-            return rezip({"runs/more.txt": b"x"})
-        case "another form":
-            return rezip({"study.json": b'{"form": "slamhive-study/9"}'})
-        case "no JSON":
-            return rezip({"study.json": b"[" * 100_000})
-        case "a wrong field":
-            return rezip({"study.json": b'{"form": "slamhive-study/1", "name": 3}'})
-        case "a wrong name":
-            run = trajectory.replace("trajectory.txt", "run.json")
-            return rezip(
-                {run: b'{"record": {"uid": "u", "name": "../x", "spec": {}, "phase": "Failed"}}'}, forged=True
-            )
-        case "another archive":
-            path = folder / "other.zip"
-            with zipfile.ZipFile(path, "w") as archive:
-                archive.writestr("readme.txt", "x")
-            return path
-        case _:
-            path = folder / "text.zip"
-            path.write_text("no archive")
-            return path
+    if kind in BROKEN:
+        run = trajectory.replace("trajectory.txt", "run.json")
+        changes = {name.format(trajectory=trajectory, run=run): one for name, one in BROKEN[kind].items()}
+        return rezip(changes, forged=kind == "a wrong name")
+    path = folder / f"{kind}.zip"
+    if kind == "other":
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("readme.txt", "x")
+    else:
+        path.write_text("no archive")
+    return path
 
 
 @pytest.mark.parametrize(
@@ -169,11 +164,12 @@ def broken(rezip: Callable[..., Path], kind: str, trajectory: str, folder: Path)
         ("no JSON", "study.json: is no JSON"),
         ("a wrong field", "study.json: name: Input should be a valid string, found '3'"),
         ("a wrong name", "run.json: algorithm: Field required"),
-        ("another archive", "has no study.json: it is no bundle of slamhive bundle"),
+        ("other", "has no study.json: it is no bundle of slamhive bundle"),
         ("text", "text.zip: is damaged, or no archive"),
     ],
 )
 def test_what_is_no_bundle_is_refused_by_name(
+    *,
     elsewhere: Path,
     rezip: Callable[..., Path],
     trajectories: list[str],
@@ -202,6 +198,7 @@ def test_an_archive_that_grows_beyond_all_bounds_is_refused(
 
 
 def test_ground_truth_that_is_not_here_is_said(
+    *,
     tmp_path: Path,
     study: Path,
     tiny: Path,
@@ -228,13 +225,15 @@ def test_ground_truth_that_is_not_here_is_said(
     with zipfile.ZipFile(study) as archive:
         manifest = next(name for name in archive.namelist() if "/datasets/" in name)
     other = "apiVersion: slamhive.io/v1alpha1\nkind: Dataset\nmetadata: {name: tiny}\nspec:\n"
-    other += "  recording: {format: Rosbag1, files: [{path: a.bag}]}\n  sensors: {lidar: {type: Lidar, topic: /p}}\n"
+    other += "  recording: {format: Rosbag1, files: [{path: a.bag}]}\n"
+    other += "  sensors: {lidar: {type: Lidar, topic: /p}}\n"
     code, out, err = run_command("verify", rezip({manifest: other.encode()}, forged=True))
     assert code == 1
     assert "dataset tiny: its ground truth isn't here" in " ".join(err.split())
 
 
 def test_runs_come_as_somebody_elses_and_are_repeated(
+    *,
     tmp_path: Path,
     environments: Path,
     tiny: Path,

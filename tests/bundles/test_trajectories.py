@@ -121,6 +121,7 @@ def test_stamps_of_another_clock_are_told_with_their_offset(
     ],
 )
 def test_what_is_wrong_is_said(
+    *,
     elsewhere: Path,
     estimate: Trajectory,
     tmp_path: Path,

@@ -235,7 +235,7 @@ def run_row(record: RunRecord) -> dict[str, Any]:
 
 
 def _origin_documents(record: RunRecord) -> dict[str, Any]:
-    """Return what a provenance holds of a run's origin: few runs have one, so it has no column of its own."""
+    """Return the origin of a run as its provenance holds it: few runs have one, so it has no column."""
     if record.origin is None:
         return {}
     told = record.origin.as_json()

@@ -24,14 +24,14 @@ from slamhive.bridges.bundles.taking import foreign_name, place_files, require_l
 from slamhive.bridges.slamhive1 import identify
 from slamhive.contract.trajectory import FILE
 from slamhive.data.recordings.entries import file_sha256
-from slamhive.model.base import plain_name
+from slamhive.model.base import plain_name, seconds
 from slamhive.model.canonical import digest
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.results import Origin, OriginKind, Phase, Provenance, RunRecord, TrajectoryInfo
 from slamhive.model.sensors import SensorMode
 from slamhive.monitor.measuring.bounded import BoundedProcess, LimitError
 from slamhive.monitor.measuring.hierarchy import memory_limit
-from slamhive_eval import EvaluationError, Trajectory, read_trajectory, write_tum
+from slamhive_eval import EvaluationError, Trajectory, match, read_trajectory, write_tum
 from slamhive_eval.errors import AssociationError
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ SWEEP = "trajectories"
 
 @dataclass(frozen=True)
 class TrajectoryOrder:
-    """What is said of trajectories that are taken in.
+    """Description of trajectories that are taken in.
 
     Attributes:
         dataset, algorithm: what they are of.
@@ -333,6 +333,9 @@ def _measured(question: tuple[Any, ...], given: dict[str, Any]) -> tuple[Result,
                 estimate.quaternions,
                 oriented=estimate.oriented,
             )
+        if isinstance(truth, Trajectory):
+            # Measured, it would be a lost run: but a clock that isn't the truth's says nothing of an algorithm.
+            match(truth, estimate, max_difference_seconds=seconds(settings.association.max_difference))
         return measure(truth, estimate, settings, subject), estimate
     except AssociationError as error:
         return DataError(f"{path}: {error}{_offset_hint(estimate, truth, offset)}")

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 class _Systems(TyperGroup):
-    """What can be taken in; a folder alone is one of the original SLAM Hive, a .zip a bundle."""
+    """Kinds of runs to be taken in; a folder alone is one of the original SLAM Hive, a .zip a bundle."""
 
     def resolve_command(self, ctx: typer.Context, args: list[str]) -> tuple[str | None, Any, list[str]]:  # type: ignore[override]
         """Find the command that the words name."""

@@ -6,7 +6,7 @@
     study.zip
         ro-crate-metadata.json      what everything is, for machines: RO-Crate 1.1, Process Run Crate 0.5
         README.md                   the same in words
-        study.json                  `Study`: checksums of all other files, datasets, how runs are measured
+        study.json                  `BundledStudy`: checksums of all files, datasets, how runs are measured
         manifests/sweep.yaml        what was asked for
         manifests/algorithms/NAME-DIGITS.yaml, manifests/datasets/NAME-DIGITS.yaml
                                     what runs used, as it was
@@ -97,7 +97,7 @@ class StudyEnvironment(Model):
     parts: dict[str, str] | None = None
 
 
-class Study(Model):
+class BundledStudy(Model):
     """The study of a bundle.
 
     Attributes:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from slamhive.bridges.bundles.contents import BundledRun, Study
+    from slamhive.bridges.bundles.contents import BundledRun, BundledStudy
 
 PROFILE = "https://w3id.org/ro/wfrun/process/0.5"
 NO_DATE = "1980-01-01"
@@ -32,7 +32,7 @@ _KINDS = {
 _ENDS = {Phase.SUCCEEDED: "CompletedActionStatus", Phase.FAILED: "FailedActionStatus"}
 
 
-def make_crate(study: Study, runs: Sequence[BundledRun], files: Mapping[str, Path]) -> Any:
+def make_crate(study: BundledStudy, runs: Sequence[BundledRun], files: Mapping[str, Path]) -> Any:
     """Return the crate of a study.
 
     Args:
@@ -119,7 +119,7 @@ def make_crate(study: Study, runs: Sequence[BundledRun], files: Mapping[str, Pat
 
 
 def _action(run: BundledRun) -> dict[str, Any]:
-    """Return what is said of a run beside what it took and made."""
+    """Return the name, end and times of a run."""
     record = run.record
     names = record.spec["algorithmRef"]["name"], record.spec["datasetRef"]["name"]
     fields: dict[str, Any] = {
@@ -136,7 +136,7 @@ def _action(run: BundledRun) -> dict[str, Any]:
     return fields
 
 
-def _description(study: Study, runs: int) -> str:
+def _description(study: BundledStudy, runs: int) -> str:
     algorithms = ", ".join(sorted({one.name for one in study.algorithms}))
     datasets = ", ".join(sorted({one.name for one in study.datasets}))
     return (

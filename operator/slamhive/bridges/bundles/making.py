@@ -24,7 +24,7 @@ from slamhive.bridges.bundles.anonymity import (
 )
 from slamhive.bridges.bundles.contents import (
     BundledRun,
-    Study,
+    BundledStudy,
     StudyAlgorithm,
     StudyDataset,
     StudyEnvironment,
@@ -212,9 +212,9 @@ class _BundleMaking:
             aside.unlink(missing_ok=True)
         self._tell()
 
-    def _study(self, spec: dict[str, Any]) -> Study:
+    def _study(self, spec: dict[str, Any]) -> BundledStudy:
         order = self._order
-        return Study(
+        return BundledStudy(
             name=self._sweep.name,
             title=order.title or f"Study {self._sweep.name}",
             slamhive=__version__,
@@ -374,8 +374,8 @@ slamhive import study.zip                # into one's own archive, marked as som
 """
 
 
-def _readme(study: Study, runs: int) -> str:
-    """Return what a bundle is, in words, with licences and what to cite."""
+def _readme(study: BundledStudy, runs: int) -> str:
+    """Return the description of a bundle in words, with licences and citations."""
     head = _README.format(
         title=study.title,
         runs=runs,

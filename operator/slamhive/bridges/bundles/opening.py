@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from slamhive.archive.records import require_parts
-from slamhive.bridges.bundles.contents import FORM, METADATA, RUN, STUDY, BundledRun, Study
+from slamhive.bridges.bundles.contents import FORM, METADATA, RUN, STUDY, BundledRun, BundledStudy
 from slamhive.contract.files import read_regular
 from slamhive.contract.lines import printable
 from slamhive.data.files.unpacking import unpack
@@ -50,7 +50,7 @@ class OpenedBundle:
 
     title: str
     folder: Path
-    study: Study
+    study: BundledStudy
     sha256: str
     runs: dict[str, BundledRun]
 
@@ -91,7 +91,7 @@ def _opened(title: str, folder: Path) -> OpenedBundle:
     if not isinstance(told, dict) or told.get("form") != FORM:
         form = printable(str(told.get("form") if isinstance(told, dict) else told))[:40]
         raise DataError(f"{title}: {STUDY}: form is {form!r}, and this slamhive reads {FORM!r}")
-    study = _checked(Study, told, title, STUDY)
+    study = _checked(BundledStudy, told, title, STUDY)
     _require_sums(title, folder, study)
     runs = {}
     for name in sorted(study.files):
@@ -103,7 +103,7 @@ def _opened(title: str, folder: Path) -> OpenedBundle:
     return OpenedBundle(title, folder, study, hashlib.sha256(content).hexdigest(), runs)
 
 
-def _require_sums(title: str, folder: Path, study: Study) -> None:
+def _require_sums(title: str, folder: Path, study: BundledStudy) -> None:
     there = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()} - {STUDY}
     missing, more = sorted(study.files.keys() - there), sorted(there - study.files.keys())
     if METADATA not in study.files:
@@ -121,7 +121,7 @@ def _require_sums(title: str, folder: Path, study: Study) -> None:
         )
 
 
-def _run(title: str, folder: Path, study: Study, name: str) -> BundledRun:
+def _run(title: str, folder: Path, study: BundledStudy, name: str) -> BundledRun:
     run = _checked(BundledRun, _json(_content(folder / name, title, name), title, name), title, name)
     record, folder_name = run.record, name.split("/")[1]
     if record.name != folder_name or not _RUN_NAME.fullmatch(record.name):

@@ -113,7 +113,7 @@ def changed_program(bench: Workbench, run: BundledRun) -> str | None:
 
 
 def compare_repeated(bundle: OpenedBundle, run: BundledRun, again: RunRecord) -> list[RepeatedFigure]:
-    """Return how the figures of a run that was done again differ from the bundle's.
+    """Return the figures of a run that was done again, beside the bundle's.
 
     Args:
         bundle: the bundle.

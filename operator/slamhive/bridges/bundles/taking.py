@@ -39,7 +39,7 @@ BATCH = 200
 
 
 @dataclass(frozen=True)
-class Taken:
+class BundleTaken:
     """Counts of runs that came, and of those that were here already."""
 
     added: int
@@ -83,7 +83,7 @@ def take_bundle(
     bundle: OpenedBundle,
     label: str,
     step: Callable[[int, int], None] = lambda *_: None,
-) -> Taken:
+) -> BundleTaken:
     """Take the runs of a bundle into a home, with their trajectories.
 
     Args:
@@ -128,7 +128,7 @@ def take_bundle(
             batch = []
     if batch:
         archive.put_used(batch)
-    return Taken(added, len(bundle.runs) - added)
+    return BundleTaken(added, len(bundle.runs) - added)
 
 
 def place_files(home: Home, folder: Path, files: Mapping[str, Path]) -> None:

@@ -188,7 +188,7 @@ def _truth_here(
 
 
 def _tasks(bundle: OpenedBundle, truths: Mapping[str, Any], found: Verification) -> Iterator[_Task]:
-    """Yield what can be computed again; what can't is noted."""
+    """Yield the results that can be computed again, and note the others."""
     foreign: dict[str, int] = {}
     without = old = 0
     for run in bundle.runs.values():
