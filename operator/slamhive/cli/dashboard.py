@@ -1,20 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``slamhive dashboard``: the archive as web pages."""
+"""``slamhive dashboard`` and ``slamhive site``: the archive as web pages, with a server and without one."""
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from slamhive.cli.parts.choosing import Also
+from slamhive.cli.parts.choosing import Also, Sweeps
 from slamhive.cli.parts.console import out, remark
 from slamhive.local.home.folder import Home
 from slamhive.model.extras import without
 from slamhive.tables.homes import homes_beside
 
 DEFAULT_PORT = 8323
+_SHOWN_BADGES = 5
 
 
 def dashboard(
@@ -73,3 +75,56 @@ def dashboard(
         health=None if health_port is None else listen(host, health_port, "health-port"),
         announce=announce,
     )
+
+
+def site(
+    folder: Annotated[
+        Path, typer.Argument(metavar="OUT", help="Folder of the site: a new one, an empty one, or a site.")
+    ],
+    *,
+    sweep: Sweeps = None,
+    title: Annotated[str, typer.Option(help="What the pages are called.")] = "SLAM Hive",
+    base_url: Annotated[
+        str, typer.Option(metavar="URL", help="Address that it will have, for the links of its feed.")
+    ] = "",
+    ground_truth: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Ground truth to draw under paths: DATASET.txt (TUM) or DATASET.csv (EuRoC).",
+        ),
+    ] = None,
+    also: Also = None,
+) -> None:
+    """Write the dashboard as a site of static files: leaderboard, charts, studies, the page of each run.
+
+    Any web server shows it, at any address. Again into the same folder: what is new is added, addresses stay.
+
+    Example: slamhive site public --title "Our lab's runs" --base-url https://lab.example/slam/
+    """
+    try:
+        from slamhive.dashboard.publishing.building import SiteWish, build
+        from slamhive.dashboard.sources.archived import Workstation
+        from slamhive.dashboard.sources.homes import Homes
+    except ModuleNotFoundError as error:
+        raise without("the site", error.name, "dashboard") from None
+    wish = SiteWish(sweep or (), title, base_url)
+    home = Home.from_environment()
+    others = homes_beside(home, also)
+    source = (
+        Homes(home, others, ground_truth)
+        if others
+        else Workstation(home.archive_url, home.path, ground_truth)
+    )
+    built = asyncio.run(build(folder, source, wish))
+    out.print(
+        f"{folder}: {built.runs:,} runs, {built.answers:,} answers; {built.added:,} files added or changed, "
+        f"{built.files:,} files and {built.size / 1e6:.1f} MB in all",
+        markup=False,
+        highlight=False,
+    )
+    for place in built.badges[:_SHOWN_BADGES]:
+        out.print(f"  {place.file}: {place.said}", markup=False, highlight=False)
+    if len(built.badges) > _SHOWN_BADGES:
+        out.print(f"  … {len(built.badges):,} badges in badges/", markup=False)
+    out.print(f"to look at it: python3 -m http.server -d {folder}", markup=False)

@@ -73,7 +73,7 @@ COMMANDS = {
         "Show the archive in a web browser: leaderboard, charts, runs. It changes nothing; Ctrl-C ends it.",
     ),
     "site": _Command(
-        "site",
+        "dashboard",
         "site",
         "Write the dashboard as a site of static files: leaderboard, charts, studies, the page of each run.",
     ),

@@ -14,12 +14,15 @@ if TYPE_CHECKING:
 
     from slamhive.model.results import RunRecord
 
+_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+"""What libyaml writes is the same, in a fifth of the time."""
+
 
 def manifest(kind: str, name: str, labels: Mapping[str, str], spec: Mapping[str, Any]) -> str:
     """Return the YAML of an object."""
     metadata: dict[str, Any] = {"name": name} | ({"labels": dict(labels)} if labels else {})
     body = {"apiVersion": API_VERSION, "kind": kind, "metadata": metadata, "spec": dict(spec)}
-    return str(yaml.safe_dump(body, sort_keys=False, allow_unicode=True, width=100))
+    return str(yaml.dump(body, Dumper=_DUMPER, sort_keys=False, allow_unicode=True, width=100))
 
 
 def run_manifest(record: RunRecord, name: str | None = None) -> str:

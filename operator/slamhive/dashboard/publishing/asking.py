@@ -11,19 +11,19 @@ from urllib.parse import quote, unquote
 from fastapi import Request, Response
 
 from slamhive.analysis.grouping import where_equal
-from slamhive.dashboard.answering.encoding import Body
 from slamhive.dashboard.answering.totals import SweepTotals
 from slamhive.dashboard.server.app import application
 from slamhive.dashboard.server.service import Service
-from slamhive.dashboard.sources.archived import Snapshot
 from slamhive.model.errors import UnknownNameError
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Sequence
 
     from slamhive.archive.records import SweepRecord
+    from slamhive.dashboard.answering.encoding import Body
     from slamhive.dashboard.answering.workers import AnswerWorkers
-    from slamhive.dashboard.sources.archived import Source
+    from slamhive.dashboard.sources.archived import Snapshot, Source
+    from slamhive.model.results import RunRecord
 
 T = TypeVar("T")
 G = TypeVar("G")
@@ -34,7 +34,7 @@ REVISION = "site"
 _UNESCAPED = "!'()*"
 
 
-class Published:
+class PublishedRuns:
     """A source as it was at one moment, its finished runs alone, of some sweeps alone.
 
     Args:
@@ -45,6 +45,7 @@ class Published:
 
     def __init__(self, source: Source, snapshot: Snapshot, sweeps: Sequence[str] = ()) -> None:
         self._source = source
+        self._ahead: dict[str, RunRecord] = {}
         self._sweeps = tuple(dict.fromkeys(sweeps))
         frame = snapshot.frame
         if self._sweeps:
@@ -77,6 +78,15 @@ class Published:
     async def fresh(self) -> Snapshot:
         """Return the data."""
         return self._snapshot
+
+    def ahead(self, uids: Sequence[str]) -> None:
+        """Read some runs together, which are asked for next."""
+        together = getattr(self._source, "records", None)
+        self._ahead = {record.uid: record for record in together(uids)} if together else {}
+
+    def record(self, uid: str) -> RunRecord | None:
+        """Return a run by its UID."""
+        return self._ahead.get(uid) or self._source.record(uid)
 
     def sweeps(self) -> list[SweepRecord]:
         """Return the sweeps that are meant."""
@@ -127,7 +137,7 @@ class _AskedService(Service):
 
 
 @dataclass(frozen=True)
-class Refused:
+class RefusedQuestion:
     """Answer to a question that has none: its status, and what it says."""
 
     status: int
@@ -137,11 +147,11 @@ class Refused:
 class Asker:
     """Asks the API of a source."""
 
-    def __init__(self, source: Published) -> None:
+    def __init__(self, source: PublishedRuns) -> None:
         self._service = _AskedService(cast("Source", source))
         self._app = application(self._service)
 
-    async def ask(self, question: str) -> Body | Refused:
+    async def ask(self, question: str) -> Body | RefusedQuestion:
         """Return the answer at an address of the API, which is one for programs: path and query string."""
         path, _, query = question.partition("?")
         scope = {
@@ -173,7 +183,7 @@ class Asker:
         await self._app(scope, receive, send)
         if self._service.made is not None and status == 200:
             return self._service.made
-        return Refused(status, json.loads(b"".join(parts) or b"{}"))
+        return RefusedQuestion(status, json.loads(b"".join(parts) or b"{}"))
 
 
 def address(path: str, *pairs: tuple[str, str]) -> str:

@@ -18,18 +18,18 @@ import numpy as np
 
 from slamhive import __version__
 from slamhive.analysis.selection import first_rows
-from slamhive.dashboard.answering.encoding import Body, encode_csv
+from slamhive.dashboard.answering.encoding import encode_csv, encode_json
 from slamhive.dashboard.answers.catalog import sweep_names
-from slamhive.dashboard.server.security import CONTENT_POLICY
 from slamhive.dashboard.publishing import questions, table
-from slamhive.dashboard.publishing.asking import Asker, Published, Refused, canonical
+from slamhive.dashboard.publishing.asking import Asker, PublishedRuns, RefusedQuestion, canonical
 from slamhive.dashboard.publishing.feed import badge, feed, places
 from slamhive.dashboard.publishing.folder import FORMAT, KIND, MARK, SiteFolder
 from slamhive.dashboard.publishing.runpages import RunPages
+from slamhive.dashboard.server.security import CONTENT_POLICY
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from importlib.resources.abc import Traversable
     from pathlib import Path
 
@@ -39,6 +39,14 @@ if TYPE_CHECKING:
 
 TITLE = "SLAM Hive"
 MOST_TITLE = 200
+MOST_BYTES = 2_000_000
+"""Bytes of an answer, unpacked: a longer one is no page's, and would be most of the site."""
+
+TOO_MUCH = 501
+_TOO_MUCH = (
+    "This site leaves out what has too many groups: choose columns to group by here. Where the runs are, "
+    "slamhive dashboard shows them."
+)
 _ROOT = re.compile(r'(href|src)="/(?!/)')
 _NO_SCRIPT = (
     '<noscript>These pages need JavaScript. What is new here: <a href="feed.xml">feed.xml</a>.</noscript>'
@@ -117,7 +125,7 @@ async def build(
     with ThreadPoolExecutor(1, thread_name_prefix="look") as executor:
         await source.start(executor)
         try:
-            published = Published(source, await source.fresh(), wish.sweeps)
+            published = PublishedRuns(source, await source.fresh(), wish.sweeps)
             return await _Building(folder, published, await published.fresh(), wish, tell).built()
         finally:
             await source.stop()
@@ -127,7 +135,7 @@ class _Building:
     def __init__(
         self,
         folder: SiteFolder,
-        source: Published,
+        source: PublishedRuns,
         snapshot: Snapshot,
         wish: SiteWish,
         tell: Callable[[str], None],
@@ -197,12 +205,16 @@ class _Building:
         if key in self._answers:
             return self._answers[key]
         found = await self._asker.ask(question)
-        if isinstance(found, Refused):
+        if isinstance(found, RefusedQuestion):
             self._refused[key] = {"status": found.status, **found.said}
             self._answers[key] = None
             return None
-        assert isinstance(found, Body)
-        self._files[key] = self._folder.keep(found.content)
+        content = encode_json(found.content)
+        if len(content) > MOST_BYTES:
+            self._refused[key] = {"status": TOO_MUCH, "error": _TOO_MUCH, "field": None}
+            self._answers[key] = None
+            return None
+        self._files[key] = self._folder.keep_text(content)
         if found.columns is not None:
             self._tables[key] = self._folder.keep_text(encode_csv(found.columns()))
         self._answers[key] = found.content
@@ -218,9 +230,7 @@ class _Building:
             dates[told] = np.fmax(dates.get(told, np.nan), at)
         days = {key: _moment(at)[:10] for key, at in dates.items() if at == at}  # noqa: PLR0124
         asked = ("metric", questions.ERROR), ("by", questions.COMPETITORS[0]), ("outcomes", "tracked")
-        found = self._answers.get(
-            canonical(questions.address(f"{questions.ANALYSIS}/leaderboard", *asked))
-        )
+        found = self._answers.get(canonical(questions.address(f"{questions.ANALYSIS}/leaderboard", *asked)))
         boards = (found or {}).get("boards") or []
         if boards:
             yield from places(max(boards, key=lambda board: len(board["entries"])), days)
@@ -257,7 +267,9 @@ class _Building:
             for name, content in _files_below(static)
             if name != "index.html"
         }
-        digest = hashlib.sha256(b"\0".join(name.encode() + content for name, content in sorted(found.items())))
+        digest = hashlib.sha256(
+            b"\0".join(name.encode() + content for name, content in sorted(found.items()))
+        )
         folder = f"pages/{digest.hexdigest()[:12]}"
         for name, content in found.items():
             self._folder.keep_file(f"{folder}/{name}", content)

@@ -119,6 +119,27 @@ def badge(place: Place) -> bytes:
     ).encode()
 
 
+@dataclass(frozen=True)
+class _Entry:
+    """Entry of a feed."""
+
+    known: str
+    title: str
+    when: str
+    place: str
+    text: str
+
+    def written(self, base: str, site: str) -> str:
+        """Return it as XML."""
+        name = uuid.uuid5(_SPACE, f"{base or site} {self.known}")
+        return (
+            f"<entry><title>{escape(_fit(self.title))}</title><id>urn:uuid:{name}</id>"
+            f"<updated>{escape(self.when)}</updated>"
+            f"<link href={quoteattr(f'{base}index.html{self.place}')}/>"
+            f"<summary>{escape(_fit(self.text))}</summary></entry>"
+        )
+
+
 def feed(
     title: str, base: str, updated: str, sweeps: Sequence[Mapping[str, Any]], ranks: Sequence[Place]
 ) -> bytes:
@@ -132,18 +153,17 @@ def feed(
         ranks: of competitors.
     """
     entries = [
-        (
+        _Entry(
             f"sweep {one['name']}",
             f"Sweep {one['name']}: {one['runs']} runs",
             one.get("finished") or updated,
             f"#/sweeps/{_quoted(one['name'])}",
-            f"{', '.join(map(str, one.get('algorithms') or ()))} on "
-            f"{', '.join(map(str, one.get('datasets') or ()))}",
+            " on ".join(", ".join(map(str, one.get(name) or ())) for name in ("algorithms", "datasets")),
         )
         for one in sweeps
     ]
     entries += [
-        (
+        _Entry(
             f"rank {one.file}",
             f"{one.competitor} on {one.dataset}: {one.said}",
             f"{one.date}T00:00:00+00:00" if one.date else updated,
@@ -152,23 +172,15 @@ def feed(
         )
         for one in ranks
     ]
-    entries.sort(key=lambda one: one[2], reverse=True)
-    whole = "".join(_entry(base or title, base, *one) for one in entries[:MOST_ENTRIES])
+    entries.sort(key=lambda one: one.when, reverse=True)
+    whole = "".join(one.written(base, title) for one in entries[:MOST_ENTRIES])
     return (
         '<?xml version="1.0" encoding="utf-8"?>\n<feed xmlns="http://www.w3.org/2005/Atom">'
         f"<title>{escape(_fit(title))}</title>"
         f"<id>urn:uuid:{uuid.uuid5(_SPACE, base or title)}</id><updated>{escape(updated)}</updated>"
-        f'<author><name>{escape(_fit(title))}</name></author><link href={quoteattr(base or "./")}/>'
+        f"<author><name>{escape(_fit(title))}</name></author><link href={quoteattr(base or './')}/>"
         f'<link rel="self" href={quoteattr(f"{base}feed.xml")}/>{whole}</feed>\n'
     ).encode()
-
-
-def _entry(site: str, base: str, known: str, title: str, when: str, place: str, text: str) -> str:
-    return (
-        f"<entry><title>{escape(_fit(title))}</title><id>urn:uuid:{uuid.uuid5(_SPACE, f'{site} {known}')}</id>"
-        f"<updated>{escape(when)}</updated><link href={quoteattr(f'{base}index.html{place}')}/>"
-        f"<summary>{escape(_fit(text))}</summary></entry>"
-    )
 
 
 def _fit(text: str) -> str:

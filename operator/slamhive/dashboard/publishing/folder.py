@@ -14,7 +14,6 @@ from __future__ import annotations
 import gzip
 import hashlib
 import json
-import os
 from typing import TYPE_CHECKING, Any
 
 from slamhive.dashboard.answering.encoding import encode_json
@@ -108,11 +107,7 @@ class SiteFolder:
 
     def size(self) -> tuple[int, int]:
         """Return the number of files in it and their bytes."""
-        sizes = [
-            os.stat(os.path.join(folder, name)).st_size
-            for folder, _, names in os.walk(self.path)
-            for name in names
-        ]
+        sizes = [place.stat().st_size for place in self.path.rglob("*") if place.is_file()]
         return len(sizes), sum(sizes)
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Questions that a site has answers to: what its pages ask by themselves, and by choices that can be counted.
 
-Points, runs and their orders aren't among them: pages take those of the table (``dashboard/publishing/table.py``).
-``tests/dashboard_pages/test_site.py`` walks the pages, so that what one asks anew is missed there.
+Points, runs and their orders aren't among them: those are taken of ``dashboard/publishing/table.py``.
+``tests/dashboard_pages/test_publishing.py`` walks the pages, so that what one asks anew is missed there.
 """
 
 from __future__ import annotations
@@ -30,6 +30,9 @@ MEASURES = (
 )
 MOST_VIEWS = 60
 """Sweeps, datasets and algorithms that have leaderboards and studies of their own."""
+
+MANY = 3000
+"""Rows up to which every configuration is a group where nobody says by what: of more there are too many."""
 
 MOST_SETTINGS = 10
 MOST_VALUES = 40
@@ -60,6 +63,7 @@ class AskedColumns:
     Attributes:
         measures: figures that drawings are made of.
         settings: settings that vary over few values, the most varied first.
+        rows: how many there are.
         features: the parameter that is a number of features, if one varies.
         tags: of runs.
         superseded: whether there are runs of earlier versions.
@@ -84,7 +88,10 @@ class AskedColumns:
         asked.sort(key=lambda one: (one["name"] not in self.varied, -one["distinct"]))
         self.settings = [one["name"] for one in asked[:MOST_SETTINGS]]
         self.features = [name for name in self._items if _FEATURES.fullmatch(name) and self.varies(name)][:1]
-        self.tags = sorted({str(tag) for one in self._items.get("tags", {}).get("values") or [] for tag in one["value"]})
+        self.tags = sorted(
+            {str(tag) for one in self._items.get("tags", {}).get("values") or [] for tag in one["value"]}
+        )
+        self.rows = int(answer["rows"])
         self.superseded = bool(self._count("superseded"))
 
     def _count(self, name: str) -> int:
@@ -138,7 +145,8 @@ def of_view(view: View, columns: AskedColumns) -> Iterator[str]:
     for name in ("robustness", "timeline", "suspects"):
         yield address(f"{ANALYSIS}/{name}", *view)
     yield address(f"{ANALYSIS}/versions", *view, ("metric", ERROR), tracked)
-    yield address(f"{ANALYSIS}/aggregate", *view, ("metrics", ERROR), tracked)
+    if columns.rows <= MANY:
+        yield address(f"{ANALYSIS}/aggregate", *view, ("metrics", ERROR), tracked)
     apart = columns.varies("dataset")
     for by in ("algorithm", *columns.varied[:1]):
         joined = ",".join(dict.fromkeys([by, "algorithm"]))
@@ -151,27 +159,14 @@ def of_view(view: View, columns: AskedColumns) -> Iterator[str]:
 
 def of_all(columns: AskedColumns) -> Iterator[str]:
     """Go through what is asked of all runs, by the choices that pages offer."""
-    for which in ("tracked", "all"):
-        outcomes = ("outcomes", which)
-        for metric in columns.measures if which == "tracked" else [ERROR]:
-            asked = ("metric", metric)
-            yield address(f"{ANALYSIS}/leaderboard", asked, ("by", COMPETITORS[0]), outcomes)
-            yield address(f"{ANALYSIS}/compare", asked, ("by", COMPETITORS[0]), outcomes)
-            yield address(f"{ANALYSIS}/aggregate", ("metrics", metric), outcomes)
-            yield address(f"{ANALYSIS}/slices", asked, outcomes)
-            for by in ("algorithm", "sensors", "dataset", "algorithm,dataset"):
-                for over in ("", "dataset"):
-                    if not (over and "dataset" in by):
-                        yield address(f"{ANALYSIS}/ecdf", ("by", by), ("over", over), asked, outcomes)
-            for setting, other in product(columns.settings[:3], [*columns.settings[:3], "algorithm"]):
-                if setting != other:
-                    yield address(f"{ANALYSIS}/surface", ("x", setting), ("y", other), asked, outcomes)
     for metric in columns.measures:
+        yield from _of_metric(columns, metric, ("outcomes", "tracked"))
         yield address(f"{ANALYSIS}/importance", ("metric", metric))
         yield address(f"{ANALYSIS}/repeatability", ("metric", metric))
         for by in _groups(columns):
             asked_by = ("by", ",".join(by))
             yield address(f"{ANALYSIS}/aggregate", asked_by, ("metrics", metric), ("outcomes", "tracked"))
+    yield from _of_metric(columns, ERROR, ("outcomes", "all"))
     for cost in columns.measures[1:]:
         yield address(f"{ANALYSIS}/pareto", ("x", cost), ("y", ERROR), ("by", "algorithm,sensors"))
     if columns.superseded:
@@ -179,6 +174,26 @@ def of_all(columns: AskedColumns) -> Iterator[str]:
         asked = ("superseded", "1"), ("metric", ERROR), ("by", VERSIONS), ("outcomes", "tracked")
         yield address(f"{ANALYSIS}/leaderboard", *asked)
         yield address(f"{ANALYSIS}/compare", *asked)
+    yield from _with_conditions(columns)
+
+
+def _of_metric(columns: AskedColumns, metric: str, outcomes: tuple[str, str]) -> Iterator[str]:
+    asked = ("metric", metric)
+    yield address(f"{ANALYSIS}/leaderboard", asked, ("by", COMPETITORS[0]), outcomes)
+    yield address(f"{ANALYSIS}/compare", asked, ("by", COMPETITORS[0]), outcomes)
+    yield address(f"{ANALYSIS}/slices", asked, outcomes)
+    if columns.rows <= MANY:
+        yield address(f"{ANALYSIS}/aggregate", ("metrics", metric), outcomes)
+    for by in ("algorithm", "sensors", "algorithm,dataset"):
+        yield address(f"{ANALYSIS}/ecdf", ("by", by), asked, outcomes)
+    yield address(f"{ANALYSIS}/ecdf", ("by", "algorithm"), ("over", "dataset"), asked, outcomes)
+    for setting, other in product(columns.settings[:3], [*columns.settings[:3], "algorithm"]):
+        if setting != other:
+            yield address(f"{ANALYSIS}/surface", ("x", setting), ("y", other), asked, outcomes)
+
+
+def _with_conditions(columns: AskedColumns) -> Iterator[str]:
+    """Go through what ready questions and the paper's tables ask under conditions of their own."""
     for name, apart in product(columns.features, (True, False)):
         by = f"{name},dataset" if apart and columns.varies("dataset") else name
         loads = [*columns.measures[1:2], "usage.memory.peakBytes"]
@@ -187,8 +202,8 @@ def of_all(columns: AskedColumns) -> Iterator[str]:
             yield address(f"{ANALYSIS}/aggregate", *asked, ("metrics", metrics), ("outcomes", "tracked"))
     if "slam-hive" in columns.names("label.source"):
         for by, metrics, where in _TABLES:
-            asked = ("where", where), ("by", by), ("metrics", metrics), ("outcomes", "all")
-            yield address(f"{ANALYSIS}/aggregate", *asked)
+            chosen = ("where", where), ("by", by), ("metrics", metrics), ("outcomes", "all")
+            yield address(f"{ANALYSIS}/aggregate", *chosen)
 
 
 def conditions(columns: AskedColumns) -> list[str]:

@@ -18,10 +18,10 @@ from slamhive.dashboard.problems import told
 from slamhive.model.errors import SlamHiveError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Sequence
 
     from slamhive.archive.records import CatalogEntry
-    from slamhive.dashboard.publishing.asking import Published
+    from slamhive.dashboard.publishing.asking import PublishedRuns
     from slamhive.dashboard.publishing.folder import SiteFolder
     from slamhive.dashboard.sources.archived import Snapshot
     from slamhive.model.results import RunRecord
@@ -43,6 +43,7 @@ _POSES = 300_000
 
 _DIGITS = 6
 _SHORT = 12
+_AHEAD = 200
 
 
 class RunPages:
@@ -55,7 +56,7 @@ class RunPages:
         count: of runs there are.
     """
 
-    def __init__(self, folder: SiteFolder, source: Published, snapshot: Snapshot, count: int) -> None:
+    def __init__(self, folder: SiteFolder, source: PublishedRuns, snapshot: Snapshot, count: int) -> None:
         self._folder = folder
         self._source: Any = source
         self._snapshot = snapshot
@@ -66,7 +67,7 @@ class RunPages:
         least, most = POINTS
         self._points = most if self._exact else max(least, min(most, _POSES // max(1, count)))
 
-    def written(self, uids: Iterable[str], before: dict[str, Any] | None) -> dict[str, Any]:
+    def written(self, uids: Sequence[str], before: dict[str, Any] | None) -> dict[str, Any]:
         """Write runs, and return which file has which.
 
         Args:
@@ -78,7 +79,9 @@ class RunPages:
             files, at, marks = before["files"], before["at"], before["marks"]
             places = {uid: (files[n], mark) for uid, n, mark in zip(before["uids"], at, marks, strict=True)}
         news: dict[str, Any] = {}
-        for uid in uids:
+        for at, uid in enumerate(uids):
+            if at % _AHEAD == 0:
+                self._source.ahead(uids[at : at + _AHEAD])
             page = self._page(uid)
             mark = hashlib.sha256(encode_json(page)).hexdigest()[:_SHORT]
             if places.get(uid, ("", ""))[1] != mark:

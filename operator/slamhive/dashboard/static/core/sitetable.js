@@ -15,7 +15,20 @@ import { ApiError } from './api.js';
  * @typedef {import('./address.js').Query} Query
  */
 
-const OWN = ['sort', 'columns', 'limit', 'after', 'format', 'x', 'y', 'colour', 'size', 'facet', 'digits', 'where'];
+const OWN = [
+  'sort',
+  'columns',
+  'limit',
+  'after',
+  'format',
+  'x',
+  'y',
+  'colour',
+  'size',
+  'facet',
+  'digits',
+  'where',
+];
 const SUPERSEDED = 'superseded';
 const DEFAULT = [
   'uid',
@@ -133,11 +146,14 @@ async function chosen(table, query, files, each) {
     tests.push({ read: await column(table, name, name, files), fits: equals(texts) });
   if (query.get(SUPERSEDED) !== '1' && Object.hasOwn(table.columns, SUPERSEDED))
     tests.push({ read: await column(table, SUPERSEDED, SUPERSEDED, files), fits: (value) => value === null });
-  const meeting = query.get('where') ? new Set(await files(table.conditions[query.get('where')] ?? '')) : null;
+  const meeting = query.get('where')
+    ? new Set(await files(table.conditions[query.get('where')] ?? ''))
+    : null;
   /** @type {number[]} */
   const rows = [];
   for (let row = 0; row < table.rows; row += 1)
-    if ((meeting === null || meeting.has(row)) && tests.every((one) => one.fits(one.read.at(row)))) rows.push(row);
+    if ((meeting === null || meeting.has(row)) && tests.every((one) => one.fits(one.read.at(row))))
+      rows.push(row);
   return each ? rows : once(table, rows, files);
 }
 
