@@ -21,7 +21,7 @@ class GateRuns:
 
     Attributes:
         tracked: whether each was.
-        values: of each column a number a repetition; NaN where there is none, as of runs that weren't tracked.
+        values: of each column a number a repetition; NaN where there is none, as of runs not tracked.
     """
 
     tracked: Sequence[bool] = ()

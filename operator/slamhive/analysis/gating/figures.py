@@ -72,7 +72,7 @@ class GateFigure:
         return math.log1p(self.margin) if self.scale is Scale.RATIO else self.margin
 
     def change(self, shift: float) -> float:
-        """Return a shift on the scale of tests as the change of the figure itself, a share; above 0 it grew."""
+        """Return a shift on the scale of tests as the change of the figure itself, a share."""
         shift *= self.sign
         if self.scale is not Scale.RATIO:
             return shift

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
@@ -23,6 +22,7 @@ from slamhive.monitor.programs.orphans import write_atomically
 from slamhive.reporting.gate.foreign import foreign_baseline
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
 SCHEMA = "slamhive-baseline/v1"
