@@ -54,7 +54,7 @@ class CellShift:
 
     @property
     def chance(self) -> float:
-        """Chance that so many runs come behind all those before, were they alike: exact, distribution-free."""
+        """Chance that so many runs come behind all those before, were they alike: exact."""
         if not self.above:
             return 1.0
         return 0.0 if self.exact else 1 / math.comb(sum(self.counts), self.counts[1])

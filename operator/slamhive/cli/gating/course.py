@@ -85,7 +85,7 @@ def _pairs(tests: Sequence[GateSweep], comparing: Comparing, notes: list[str]) -
     if len(cells) == 1 and cells[0].dataset is None:
         if len(rows) != 1:
             raise InputError(
-                f"{comparing.path}: of one trajectory of a dataset that it doesn't name, so it stands for one "
+                f"{comparing.path}: of one trajectory of a dataset that it doesn't name: it stands for one "
                 f"setting; the sweep has {len(rows)}"
             )
         return [_Pair(*rows[0], cells[0])]
@@ -107,7 +107,7 @@ def _pairs(tests: Sequence[GateSweep], comparing: Comparing, notes: list[str]) -
         now = listing(sorted({str(test.settings(row)[1]) for test, row in rows}))
         axes = listing(sorted({name for cell in cells for name in cell.settings})) or "none"
         raise InputError(
-            f"{comparing.path}: none of its settings is one of the sweep: it was recorded on {before} with the "
+            f"{comparing.path}: none of its settings is one of the sweep: recorded on {before} with the "
             f"axes {axes}, the sweep has {now}; slamhive gate --record makes a baseline of this one"
         )
     if new:
@@ -120,7 +120,7 @@ def _pairs(tests: Sequence[GateSweep], comparing: Comparing, notes: list[str]) -
 def compare(
     tests: Sequence[GateSweep], bench: Workbench, wish: GateWish, comparing: Comparing
 ) -> tuple[GateReport | None, bool]:
-    """Run until it is known whether something is worse; returns what it came to, and whether there were faults.
+    """Run until it is known whether something is worse; returns the answers, and whether there were faults.
 
     No report: it was interrupted.
 
@@ -247,7 +247,7 @@ class _Course:
                 if before is not None and here is not None and before != here:
                     where = f"{self._comparing.path}: {self.cells[number].name}: {what}"
                     raise InputError(
-                        f"{where}: recorded with {before[:16]}, here {here[:16]}: figures of the two can't be "
+                        f"{where}: recorded with {before[:16]}, here {here[:16]}: they can't be "
                         "compared; slamhive gate --record makes a new baseline"
                     )
             self.cells[number] = GateCell(self.cells[number].name, pair.before.runs, now.runs)

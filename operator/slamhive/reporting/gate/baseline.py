@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-SCHEMA = "slamhive-baseline/v1"
+SCHEMA: Final = "slamhive-baseline/v1"
 MOST_BYTES = 32 << 20
 _Sha = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
