@@ -147,7 +147,11 @@ class Gate:
                 self._settled[name] = found
             self.findings.append(found)
         if self.answer is Answer.WORSE:
-            open_ = {number for number, one in enumerate(self.findings) if one.answer is Answer.UNKNOWN and one.mends}
+            open_ = {
+                number
+                for number, one in enumerate(self.findings)
+                if one.answer is Answer.UNKNOWN and one.mends
+            }
             for number in open_:
                 self.findings[number] = replace(self.findings[number], why="still open when it ended")
         return self.findings

@@ -44,6 +44,9 @@ if TYPE_CHECKING:
 
     from slamhive.local.running.workbench import Workbench
 
+_MOST_TOLD = 3
+"""Settings that are named where none is common to both sides."""
+
 
 @dataclass(frozen=True)
 class Comparing:
@@ -103,18 +106,28 @@ def _pairs(tests: Sequence[GateSweep], comparing: Comparing, notes: list[str]) -
         else:
             pairs.append(_Pair(test, row, cell))
     if not pairs:
-        before = listing(sorted({cell.dataset or "?" for cell in cells}))
-        now = listing(sorted({str(test.settings(row)[1]) for test, row in rows}))
-        axes = listing(sorted({name for cell in cells for name in cell.settings})) or "none"
         raise InputError(
-            f"{comparing.path}: none of its settings is one of the sweep: recorded on {before} with the "
-            f"axes {axes}, the sweep has {now}; slamhive gate --record makes a baseline of this one"
+            f"{comparing.path}: none of its settings is one of the sweep: recorded are "
+            f"{_settings_text([(cell.settings, cell.dataset) for cell in cells])}; the sweep has "
+            f"{_settings_text([test.settings(row) for test, row in rows])}; slamhive gate --record makes a "
+            "baseline of those"
         )
     if new:
         notes.append(f"not in the baseline, and neither run nor compared: {listing(new)}")
     if known:
         notes.append(f"of the baseline, but not asked for here: {plural(len(known), 'setting')}")
     return pairs
+
+
+def _settings_text(found: Sequence[tuple[dict[str, Any], str | None]]) -> str:
+    """Return the first few of some settings, each with its dataset."""
+    texts = [
+        " ".join(
+            [str(dataset), *(f"{name} {value}" for name, value in settings.items() if name != "dataset")]
+        )
+        for settings, dataset in found[:_MOST_TOLD]
+    ]
+    return "; ".join(texts) + ("; …" if len(found) > _MOST_TOLD else "")
 
 
 def compare(
