@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamhive.analysis.gating.figures import Scale
+from slamhive.analysis.gating.figures import MarginScale
 from slamhive_eval.statistics import student_quantile, student_tail
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def shift_of(figure: GateFigure, cells: Sequence[GateCell]) -> Shift | None:
     found = []
     for number, cell in enumerate(cells):
         before, now = (
-            figure.sign * side.numbers(figure.name, logarithms=figure.scale is Scale.RATIO)
+            figure.sign * side.numbers(figure.name, logarithms=figure.scale is MarginScale.RATIO)
             for side in (cell.before, cell.now)
         )
         if len(before) and len(now):

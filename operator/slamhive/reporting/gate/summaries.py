@@ -12,7 +12,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from slamhive.analysis.gating.deciding import Answer
-from slamhive.analysis.gating.figures import FAILURES, Scale
+from slamhive.analysis.gating.figures import FAILURES, MarginScale
 from slamhive.analysis.metrics import Metric
 from slamhive.contract.lines import printable
 
@@ -86,7 +86,7 @@ class GateReport:
 
 
 def _percent(figure: GateFigure, change: float) -> str:
-    unit = " %" if figure.scale is Scale.RATIO else " points"
+    unit = " %" if figure.scale is MarginScale.RATIO else " points"
     return f"{100 * change:+.1f}{unit}" if change else f"0{unit}"
 
 
