@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Decisions of the gate on simulated changes, with the spread of the paper's repetitions.
 
-Cells are ORB-SLAM2's nine settings on fr2/desk, five to seven runs each, of the paper on SLAM Hive. What a run
-deviates from its setting's mean, all figures of it together, is drawn from all 47 of them, and so is whether it
-was tracked: four were not. Baselines too are drawn anew for each decision, ten runs a setting. A change multiplies error or CPU time, or makes runs fail.
+Cells are ORB-SLAM2's nine settings on fr2/desk, five to seven runs each, of the paper on SLAM Hive. What a
+run deviates from its setting's mean, all figures of it together, is drawn from all 47 of them, and so is
+whether it was tracked: four were not. Baselines too are drawn anew for each decision, ten runs a setting. A
+change multiplies errors or CPU time, or makes runs fail.
 
 The peer does five runs of each setting and looks once, by the same tests.
 """
@@ -68,7 +69,7 @@ _OTHER = 124
 
 
 def real_runs() -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return the logarithms' means of the settings, (9, 4), those of 47 runs away from them, and their coverage."""
+    """Return means of the settings' logarithms, (9, 4), 47 runs' distances from those, and their coverage."""
     groups: dict[int, list[list[float]]] = defaultdict(list)
     for run in json.loads(PAPER.read_text())["runs"]:
         if run["algorithm"] == "orb-slam2-ros-rgbd" and run["id"] != _OTHER:
@@ -148,7 +149,8 @@ def main() -> None:
             shares = {one: answers.count(one) / decisions for one in Answer}
             runs = [count for _, count in ends]
             passed = shares[Answer.NO_WORSE] + shares[Answer.BETTER]
-            words = f"worse {shares[Answer.WORSE]:.1%}, passed {passed:.1%}, can't tell {shares[Answer.UNKNOWN]:.1%}"
+            unknown = shares[Answer.UNKNOWN]
+            words = f"worse {shares[Answer.WORSE]:.1%}, passed {passed:.1%}, can't tell {unknown:.1%}"
             told[fixed] = f"{words}; {np.mean(runs):.1f} runs (most {max(runs)})"
             if "-v" in sys.argv:
                 why = defaultdict(int)

@@ -47,7 +47,7 @@ COMMANDS = {
         "running", "run", "Run sweeps on this machine, or on a cluster as if it were this machine."
     ),
     "gate": _Command(
-        "gate",
+        "gating.command",
         "gate",
         "Tell whether an algorithm has become worse than what was recorded, by as few runs as make it sure.",
     ),

@@ -381,6 +381,7 @@ def _follow(watched: Watched, workshop: Workshop, plans: Sequence[Plan]) -> None
 
 
 def algorithms_of(plans: Sequence[Plan]) -> list[str]:
+    """Return the names of the algorithms of plans, sorted."""
     return sorted({name for points in plans for name in points.algorithm_names()})
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from slamhive_eval import OptionError
 from slamhive_eval.measures.repeated import summarize
-from slamhive_eval.statistics import student_quantile
+from slamhive_eval.statistics import student_quantile, student_tail
 
 TABLE = {  # two-sided 95 % and 99 % from printed tables
     (0.975, 1): 12.7062047364,
@@ -29,6 +29,7 @@ TABLE = {  # two-sided 95 % and 99 % from printed tables
 def test_quantiles_of_student(asked: tuple[float, int], expected: float) -> None:
     assert student_quantile(*asked) == pytest.approx(expected, rel=1e-9)
     assert student_quantile(1 - asked[0], asked[1]) == pytest.approx(-expected, rel=1e-9)
+    assert student_tail(expected, asked[1]) == pytest.approx(1 - asked[0], rel=1e-4)
 
 
 def test_numbers_by_hand() -> None:

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 
     from slamhive.analysis.columns import Floats
 
+_LEAST = 1e-9
+"""Number below which a ratio is one of rounding: a billionth of a metre, a degree, a core."""
+
 
 @dataclass(frozen=True)
 class GateRuns:
@@ -21,7 +24,7 @@ class GateRuns:
 
     Attributes:
         tracked: whether each was.
-        values: of each column a number a repetition; NaN where there is none, as of runs that weren't tracked.
+        values: of each column a number a repetition; NaN where there is none, as of runs not tracked.
     """
 
     tracked: Sequence[bool] = ()
@@ -44,7 +47,7 @@ class GateRuns:
         )
         if not logarithms:
             return found
-        return np.log(np.maximum(found, np.finfo(np.float64).tiny))
+        return np.log(np.maximum(found, _LEAST))
 
 
 @dataclass(frozen=True)

@@ -146,6 +146,14 @@ class Gate:
             if answer in {Answer.NO_WORSE, Answer.BETTER}:
                 self._settled[name] = found
             self.findings.append(found)
+        if self.answer is Answer.WORSE:
+            open_ = {
+                number
+                for number, one in enumerate(self.findings)
+                if one.answer is Answer.UNKNOWN and one.mends
+            }
+            for number in open_:
+                self.findings[number] = replace(self.findings[number], why="still open when it ended")
         return self.findings
 
     def _look_at(self, figure: GateFigure, cells: Sequence[GateCell], level: float) -> _Look:
@@ -218,7 +226,9 @@ def _of_numbers(figure: GateFigure, cells: Sequence[GateCell], level: float) -> 
 def _answered(finding: GateFinding, answer: Answer) -> GateFinding:
     why = finding.why
     if answer is Answer.UNKNOWN and not why:
-        if math.isinf(finding.high):
+        if finding.figure.name == FAILURES:
+            why = "too few runs to know that no more fail than before"
+        elif math.isinf(finding.high):
             why = "one run of a setting says nothing of its spread"
         elif finding.cells:
             why = "some settings stand out, and too few runs tell whether that is chance"

@@ -20,7 +20,7 @@ TIME = "usage.wallSeconds"
 MEMORY = "usage.memory.peakBytes"
 
 
-class Scale(StrEnum):
+class MarginScale(StrEnum):
     """Scale on which a figure's margin is meant: a share of what it was, or a difference of shares."""
 
     RATIO = "ratio"
@@ -42,11 +42,11 @@ class GateFigure:
     margin: float
 
     @property
-    def scale(self) -> Scale:
+    def scale(self) -> MarginScale:
         """Scale of the margin."""
         if self.name == FAILURES:
-            return Scale.COUNT
-        return Scale.DIFFERENCE if self.name == COVERAGE else Scale.RATIO
+            return MarginScale.COUNT
+        return MarginScale.DIFFERENCE if self.name == COVERAGE else MarginScale.RATIO
 
     @property
     def is_load(self) -> bool:
@@ -69,12 +69,12 @@ class GateFigure:
     @property
     def bound(self) -> float:
         """Margin on the scale of tests: the logarithm of a ratio, or a difference."""
-        return math.log1p(self.margin) if self.scale is Scale.RATIO else self.margin
+        return math.log1p(self.margin) if self.scale is MarginScale.RATIO else self.margin
 
     def change(self, shift: float) -> float:
-        """Return a shift on the scale of tests as the change of the figure itself, a share; above 0 it grew."""
+        """Return a shift on the scale of tests as the change of the figure itself, a share."""
         shift *= self.sign
-        if self.scale is not Scale.RATIO:
+        if self.scale is not MarginScale.RATIO:
             return shift
         return math.expm1(shift) if shift < 700 else math.inf
 

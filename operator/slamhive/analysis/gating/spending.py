@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Spending of an allowed error over looks at growing data (Lan and DeMets 1983).
 
-The k-th look may bring what is spent to α k/(k+1), the last one to α. Looks see much of the same, so a test at
-a look may be at a larger level than what it spends: how much larger follows from how much the data grew.
+The k-th look may bring what is spent to α k/(k+1), the last one to α. Looks see much of the same, so a test
+at a look may be at a larger level than what it spends: how much larger follows from how the data grew.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamhive.analysis.gating.figures import Scale
+from slamhive.analysis.gating.figures import MarginScale
 from slamhive_eval.statistics import student_quantile, student_tail
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class CellShift:
 
     @property
     def chance(self) -> float:
-        """Chance that so many runs all come behind those before, were they alike: exact, of any distribution."""
+        """Chance that so many runs come behind all those before, were they alike: exact."""
         if not self.above:
             return 1.0
         return 0.0 if self.exact else 1 / math.comb(sum(self.counts), self.counts[1])
@@ -95,7 +95,7 @@ def shift_of(figure: GateFigure, cells: Sequence[GateCell]) -> Shift | None:
     found = []
     for number, cell in enumerate(cells):
         before, now = (
-            figure.sign * side.numbers(figure.name, logarithms=figure.scale is Scale.RATIO)
+            figure.sign * side.numbers(figure.name, logarithms=figure.scale is MarginScale.RATIO)
             for side in (cell.before, cell.now)
         )
         if len(before) and len(now):
@@ -135,7 +135,7 @@ def _cell_shift(number: int, before: Floats, now: Floats) -> CellShift:
 
 
 def standing_out(figure: GateFigure, shift: Shift) -> list[CellShift]:
-    """Return the cells whose runs are all worse than any before, by more than two margins, the worst first."""
+    """Return the cells whose runs are all worse than any before, by over two margins, the worst first."""
     found = [one for one in shift.cells if one.above and one.shift > _STANDS_OUT * figure.bound]
     return sorted(found, key=lambda one: -one.shift)
 
@@ -184,7 +184,7 @@ def failure_evidence(cells: Sequence[GateCell], margin: float) -> float:
 
 
 def failure_bound(cells: Sequence[GateCell], level: float) -> float:
-    """Return the least margin, in steps of a thousandth, within which failures surely are; 1 where none is."""
+    """Return the least margin, in thousandths, within which failures surely are; 1 where none is."""
     low, high = 0, 1000
     while low < high:
         middle = (low + high) // 2

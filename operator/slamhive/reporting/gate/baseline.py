@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -23,9 +22,10 @@ from slamhive.monitor.programs.orphans import write_atomically
 from slamhive.reporting.gate.foreign import foreign_baseline
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-SCHEMA = "slamhive-baseline/v1"
+SCHEMA: Final = "slamhive-baseline/v1"
 MOST_BYTES = 32 << 20
 _Sha = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 

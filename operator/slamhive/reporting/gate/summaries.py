@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Answers of a gate as a table, as Markdown for a pull request, and as JUnit XML."""
+"""Answers of a gate as a table, as Markdown for a pull request, and as JUnit ET."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import io
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
-from xml.etree import ElementTree as XML
+from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from slamhive.analysis.gating.deciding import Answer
-from slamhive.analysis.gating.figures import FAILURES, Scale
+from slamhive.analysis.gating.figures import FAILURES, MarginScale
 from slamhive.analysis.metrics import Metric
 from slamhive.contract.lines import printable
 
@@ -86,7 +86,7 @@ class GateReport:
 
 
 def _percent(figure: GateFigure, change: float) -> str:
-    unit = " %" if figure.scale is Scale.RATIO else " points"
+    unit = " %" if figure.scale is MarginScale.RATIO else " points"
     return f"{100 * change:+.1f}{unit}" if change else f"0{unit}"
 
 
@@ -125,6 +125,24 @@ def markdown(report: GateReport) -> str:
     return "\n".join(lines) + "\n"
 
 
+def recorded_markdown(title: str, baseline: str, words: str, notes: Sequence[str]) -> str:
+    """Return the Markdown of a gate that had nothing to compare with and recorded it.
+
+    Args:
+        title: names of the sweeps.
+        baseline: name of the file.
+        words: what is in it.
+        notes: further sentences.
+    """
+    lines = [
+        f"### 🟡 {_cell(title)}: no baseline yet, so nothing was compared",
+        "",
+        f"Recorded {_cell(baseline)}: {_cell(words)}. Commit that file, and the next gate compares with it.",
+        *(f"- {_cell(note)}" for note in notes),
+    ]
+    return "\n".join(lines) + "\n"
+
+
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     found = [heads, ["---"] * len(heads), *rows]
     return [f"| {' | '.join(_cell(text) for text in row)} |" for row in found]
@@ -154,7 +172,7 @@ def _side(figure: GateFigure, runs: GateRuns) -> str:
 def junit(report: GateReport) -> str:
     """Return JUnit XML: a test case a figure; worse is a failure, what nobody can tell is skipped."""
     answers = [one.answer for one in report.findings]
-    suite = XML.Element(
+    suite = ET.Element(
         "testsuite",
         name=printable(f"slamhive gate {report.title}"),
         tests=str(len(answers)),
@@ -164,14 +182,14 @@ def junit(report: GateReport) -> str:
         time=f"{report.seconds:.1f}",
     )
     for one, row in zip(report.findings, report.rows(), strict=True):
-        case = XML.SubElement(suite, "testcase", classname="slamhive.gate", name=one.figure.name)
+        case = ET.SubElement(suite, "testcase", classname="slamhive.gate", name=one.figure.name)
         text = "; ".join(f"{head}: {value}" for head, value in zip(HEADINGS, row, strict=True) if value)
         if one.answer is Answer.WORSE:
-            XML.SubElement(case, "failure", message=printable(text))
+            ET.SubElement(case, "failure", message=printable(text))
         elif one.answer is Answer.UNKNOWN:
-            XML.SubElement(case, "skipped", message=printable(text))
+            ET.SubElement(case, "skipped", message=printable(text))
         else:
-            XML.SubElement(case, "system-out").text = printable(text)
+            ET.SubElement(case, "system-out").text = printable(text)
     found = io.BytesIO()
-    XML.ElementTree(suite).write(found, encoding="utf-8", xml_declaration=True)
+    ET.ElementTree(suite).write(found, encoding="utf-8", xml_declaration=True)
     return found.getvalue().decode() + "\n"
