@@ -23,13 +23,13 @@ from slamhive.kube.refused_pods import RefusedPods
 from slamhive.kube.routing import is_news, routes
 from slamhive.kube.status import status_patch
 from slamhive.kube.store import Store
+from slamhive.model.status import Status
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from slamhive.kube.api.client import Api
     from slamhive.kube.settings import Settings
-    from slamhive.model.status import Status
 
 MANAGED = f"{Label.MANAGED_BY}={MANAGER}"
 """Label selector of the Jobs and pods that are ours."""
@@ -215,7 +215,7 @@ class Cluster:
         self,
         kind: Kind,
         seen: Object,
-        status: Status | None = None,
+        status: Status | Object | None = None,
         conditions: Iterable[Object] = (),
     ) -> Object | None:
         """Write what is new of an object's status, in one patch with its conditions.
@@ -223,13 +223,14 @@ class Cluster:
         Args:
             kind: its kind.
             seen: the object as it was read; errors as ``patch_seen``.
-            status: the fields that are given in it are written; those that are None are removed.
+            status: the fields that are given in it are written; those that are None are removed. Long lists
+                of which hardly anything is new are given as the API holds them.
             conditions: as ``condition`` makes them.
 
         Returns:
             The object as it is then; None where nothing was new.
         """
-        fields = status.as_patch() if status is not None else {}
+        fields = status.as_patch() if isinstance(status, Status) else status or {}
         patch = status_patch(seen, fields, conditions, self.clock())
         if not patch:
             return None

@@ -106,14 +106,24 @@ class Operator:
                     self.cluster.queue.add(key_of(kind, obj))
 
     async def relist(self) -> None:
-        """List everything and act on what the watches missed."""
-        cluster = self.cluster
+        """List everything and act on what the watches missed.
+
+        Raises:
+            Forbidden: the right to list a kind is missing; all others were listed.
+        """
+        cluster, refused = self.cluster, None
         for kind in Kind:
             labels = None if kind.is_ours else MANAGED
             narrow = partial(cluster.store.narrowed, kind)
             for namespace in cluster.settings.namespaces:
-                items, version = await cluster.api.list(kind, namespace, labels=labels, narrow=narrow)
-                cluster.take_list(kind, namespace, items, version)
+                try:
+                    items, version = await cluster.api.list(kind, namespace, labels=labels, narrow=narrow)
+                except Forbidden as error:
+                    refused = refused or error
+                else:
+                    cluster.take_list(kind, namespace, items, version)
+        if refused is not None:
+            raise refused
 
     async def _list_first(self) -> None:
         wait, cluster = 1.0, self.cluster

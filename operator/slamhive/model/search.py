@@ -214,6 +214,11 @@ class Trial(Model):
         default=TrialOrigin.DRAWN, description="Drawn by the method, or known to the archive before."
     )
 
+    @property
+    def is_known(self) -> bool:
+        """Tell whether the archive knew it before the search began."""
+        return self.origin is TrialOrigin.KNOWN
+
 
 class SearchRecord(Model):
     """A search as far as it has come: what it goes on from after any end."""

@@ -274,7 +274,8 @@ class SearchStatus(_Item):
 
 def trial_field(trial: Trial) -> dict[str, Any]:
     """Return a trial as an item of ``status.search.trials``, without what is as usual."""
-    return trial.model_dump(mode="json", by_alias=True, exclude_defaults=True) | {"values": trial.values}
+    told = {"told": trial.told} if trial.told else {}
+    return {"values": trial.values, **told, **({"origin": trial.origin.value} if trial.is_known else {})}
 
 
 class SweepStatus(Status):

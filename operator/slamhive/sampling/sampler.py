@@ -122,10 +122,10 @@ class Sampler:
         tried = self._told.keys(trials)
         if space.size is not None and len(tried) >= space.size:
             return None
-        asked = self._told.question(search, standings, told)
+        asked, before = self._told.question(search), self._told.told(standings, told)
         learns = search.method in {SearchMethod.TPE, SearchMethod.NSGA_II}
         for begin, tries in _TRIES:
-            for found in self._answer(asked | {"begin": begin, "tries": tries}, search.method):
+            for found in self._answer(asked | {"begin": begin, "tries": tries}, before, search.method):
                 # What a method that learns proposes again is where it is best: then the nearest one is tried.
                 for numbers in _around(asked, found) if learns else [found]:
                     values = [
@@ -136,8 +136,8 @@ class Sampler:
         untried = _untried(space, tried, [search.seed, len(trials)])
         return None if untried is None else Trial(values=space.canonical(untried), told=told)
 
-    def _answer(self, asked: dict[str, Any], method: SearchMethod) -> list[list[float]]:
-        line = json.dumps(asked).encode() + b"\n"
+    def _answer(self, asked: dict[str, Any], before: str, method: SearchMethod) -> list[list[float]]:
+        line = f'{{"trials": {before}, {json.dumps(asked)[1:]}\n'.encode()
         problem = ""
         for _ in range(2):
             try:

@@ -7,6 +7,7 @@ The process knows no names: of an axis it is told its kind and its ends, of a va
 from __future__ import annotations
 
 import itertools
+import json
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -57,7 +58,7 @@ def _sorted_places(axis: SearchedAxis) -> list[int]:
 
 
 class TrialsTold:
-    """Trials of a search as the process is told them, each turned into numbers once.
+    """Trials of a search as the process is told them: values turned into numbers, results into text, once.
 
     Args:
         space: what can be tried.
@@ -69,16 +70,15 @@ class TrialsTold:
         self._trials: list[Trial] = []
         self._values: list[list[Any]] = []
         self._keys: list[str] = []
+        self._results: list[tuple[TrialStanding, str]] = []
 
     def keys(self, trials: Sequence[Trial]) -> set[str]:
         """Return the keys of the settings that were tried, after taking in the trials so far."""
-        same = sum(
-            1
-            for _ in itertools.takewhile(
-                lambda pair: pair[0] is pair[1], zip(trials, self._trials, strict=False)
-            )
-        )
-        for kept in (self._trials, self._values, self._keys):
+        same = len(self._trials)
+        if self._trials != trials[:same]:
+            pairs = zip(trials, self._trials, strict=False)
+            same = sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], pairs))
+        for kept in (self._trials, self._values, self._keys, self._results):
             del kept[same:]
         for trial in trials[same:]:
             in_effect = self.space.in_effect(trial.values)
@@ -88,14 +88,8 @@ class TrialsTold:
             self._trials.append(trial)
         return set(self._keys)
 
-    def question(self, search: Search, standings: Sequence[TrialStanding], told: int) -> dict[str, Any]:
-        """Return the question put to the process for the next trial.
-
-        Args:
-            search: its settings.
-            standings: where each trial stands, by number.
-            told: the results of all trials below are told; others are under way, however far they are.
-        """
+    def question(self, search: Search) -> dict[str, Any]:
+        """Return the question put to the process for the next trial, without those before."""
         return {
             "method": search.method.value,
             "seed": search.seed,
@@ -103,12 +97,26 @@ class TrialsTold:
             "objectives": len(search.objectives),
             "conditional": self.space.is_conditional,
             "axes": self._axes,
-            "trials": [
-                {"values": values, "told": trial.told}
-                | (result_told(standings[number]) if number < told else {"state": "running"})
-                for number, (trial, values) in enumerate(zip(self._trials, self._values, strict=True))
-            ],
         }
+
+    def told(self, standings: Sequence[TrialStanding], told: int) -> str:
+        """Return the trials so far as JSON.
+
+        Args:
+            standings: where each trial stands, by number.
+            told: the results of all trials below are told; others are under way, however far they are.
+        """
+        kept = self._results
+        for number in range(told):
+            standing = standings[number]
+            if number < len(kept) and kept[number][0] is standing:
+                continue  # a decided one never changes
+            kept[number:] = [(standing, self._text(number, result_told(standing)))]
+        running = [self._text(number, {"state": "running"}) for number in range(told, len(self._trials))]
+        return f"[{','.join([*(text for _, text in kept[:told]), *running])}]"
+
+    def _text(self, number: int, result: dict[str, Any]) -> str:
+        return json.dumps({"values": self._values[number], "told": self._trials[number].told} | result)
 
 
 def result_told(standing: TrialStanding) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from testcluster.lab import manifest, run, status_of, sweep, until
 
 from slamhive.archive import Archive
 from slamhive.kube.api.client import Api
+from slamhive.kube.api.errors import Forbidden
 from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.loop import FAILURES_TOLD
 from slamhive.kube.status import holds
@@ -93,6 +94,20 @@ async def test_a_right_that_vanishes_for_a_while_costs_no_result(
         measured = [bool(record.results) for record in archive.runs(sweep="study")]
     assert (status["succeeded"], status["evaluated"]) == (RUNS, RUNS)
     assert measured == [True] * RUNS
+
+
+async def test_a_kind_that_may_not_be_listed_keeps_no_other_one_from_being_listed(fake_lab: Lab) -> None:
+    asked: list[str] = []
+
+    def refusing(verb: str, of: str, _body: dict[str, Any]) -> Refusal | None:
+        asked.extend([of] if verb == "list" else [])
+        return forbidden(of, "x", "no such right") if (verb, of) == ("list", "sweeps.slamhive.io") else None
+
+    async with fake_lab.operator() as op:
+        fake_lab.cluster.refuse(refusing)
+        with pytest.raises(Forbidden, match="no such right"):
+            await op.relist()
+    assert {kind.resource for kind in Kind} <= set(asked)
 
 
 async def test_a_watch_that_is_refused_is_told_in_a_sentence(

@@ -56,7 +56,7 @@ from slamhive.kube.status import condition, holds, iso, metres, moment, phase_of
 from slamhive.model.base import seconds
 from slamhive.model.errors import InputError, SystemFault
 from slamhive.model.search import SearchRecord
-from slamhive.model.status import SearchStatus, SweepDisplay, SweepStatus
+from slamhive.model.status import SweepDisplay, SweepStatus, trial_field
 from slamhive.model.sweep import CachePolicy, Sweep
 from slamhive.sampling import Sampler
 
@@ -368,11 +368,11 @@ class SweepReconciler:
             fresh = await self._known_before(cluster, seen, search) or await self._asker.further(search)
         except (InputError, SystemFault) as error:
             return seen, str(error)
-        if not fresh and written_trials(seen.body) == search.fields:
+        if not fresh and search.is_written(written_trials(seen.body)):
             return seen, None
-        trials = [*search.plan.trials, *fresh]
+        trials = [*search.fields, *map(trial_field, fresh)]
         # Checked: of two operators that ask at a time one writes, and the other goes on with what that wrote.
-        status = SweepStatus(search=SearchStatus(trials=trials, asked=len(trials)))
+        status = {"search": {"trials": trials, "asked": len(trials)}}
         body = await cluster.write_status(Kind.SWEEP, seen.body, status) or seen.body
         for trial in fresh:
             search.draw(trial, memory.states)
