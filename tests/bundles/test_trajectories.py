@@ -105,7 +105,7 @@ def test_stamps_of_another_clock_are_told_with_their_offset(
     assert not runs_of(elsewhere)
     code, out, err = run_command(*words, "--offset", "-0.03")
     assert code == 0, err
-    assert "1 Tracked" in out
+    assert "1 run imported, 1 evaluated" in out
 
 
 @pytest.mark.parametrize(

@@ -334,7 +334,7 @@ def _measured(question: tuple[Any, ...], given: dict[str, Any]) -> tuple[Result,
                 oriented=estimate.oriented,
             )
         if isinstance(truth, Trajectory):
-            # Measured, it would be a lost run: but a clock that isn't the truth's says nothing of an algorithm.
+            # Measured, it would be a lost run; but another clock says nothing of an algorithm.
             match(truth, estimate, max_difference_seconds=seconds(settings.association.max_difference))
         return measure(truth, estimate, settings, subject), estimate
     except AssociationError as error:

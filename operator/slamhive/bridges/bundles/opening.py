@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -112,7 +114,10 @@ def _require_sums(title: str, folder: Path, study: BundledStudy) -> None:
         if names:
             rest = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
             raise DataError(f"{title}: {what} {printable(', '.join(names[:_SHOWN]))}{rest}")
-    changed = [name for name, sha256 in sorted(study.files.items()) if file_sha256(folder / name) != sha256]
+    names = sorted(study.files)
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        sums = list(pool.map(lambda name: file_sha256(folder / name), names))
+    changed = [name for name, sha256 in zip(names, sums, strict=True) if study.files[name] != sha256]
     if changed:
         rest = f" and {len(changed) - _SHOWN} more" if len(changed) > _SHOWN else ""
         raise DataError(

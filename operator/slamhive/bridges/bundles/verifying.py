@@ -7,7 +7,6 @@ ground truth is this home's, or fetched or made by its name, if its checksum is 
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import queue
@@ -18,7 +17,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from slamhive.analysis.measuring import SETTINGS_KEY, VERSION_KEY, version_of
 from slamhive.archive.records import clean
 from slamhive.bridges.bundles.contents import TRAJECTORY, truth_sha256
-from slamhive.data.recordings.entries import file_sha256
 from slamhive.data.store.truthfolders import GroundTruthFolder
 from slamhive.local.running.measuring_apart import measuring_process
 from slamhive.model.dataset import Dataset
@@ -199,7 +197,7 @@ def _tasks(bundle: OpenedBundle, truths: Mapping[str, Any], found: Verification)
         if run.subject is None or not path.is_file():
             without += 1
             continue
-        _compare_file(run, path, found)
+        _compare_file(run, bundle.study.files[f"runs/{record.name}/{TRAJECTORY}"], found)
         if dataset not in truths:
             continue
         for result in record.results:
@@ -221,9 +219,9 @@ def _tasks(bundle: OpenedBundle, truths: Mapping[str, Any], found: Verification)
         )
 
 
-def _compare_file(run: BundledRun, path: Path, found: Verification) -> None:
+def _compare_file(run: BundledRun, actual: str, found: Verification) -> None:
+    """Compare the checksum of a trajectory, which the bundle was held against, with the record's."""
     info = run.record.trajectory
-    actual = file_sha256(path)
     if info is not None and info.sha256 == actual:
         found.figures += 1
         return
@@ -248,11 +246,8 @@ def _compare(task: _Task, answer: Result | Exception, found: Verification) -> No
 def _figures(result: Result) -> dict[str, Any]:
     """Return all that a result says, by joined names, as archives have it."""
     values = {name: value for name, value in result.values.items() if name not in {SETTINGS_KEY, VERSION_KEY}}
-    told = json.loads(
-        json.dumps(clean({"outcome": str(result.outcome), "coverage": result.coverage, **values}))
-    )
     found: dict[str, Any] = {}
-    _flatten("", told, found)
+    _flatten("", clean({"outcome": str(result.outcome), "coverage": result.coverage, **values}), found)
     return found
 
 
