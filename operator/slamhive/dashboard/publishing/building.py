@@ -21,7 +21,7 @@ from slamhive.analysis.selection import first_rows
 from slamhive.dashboard.answering.encoding import encode_csv, encode_json
 from slamhive.dashboard.answers.catalog import sweep_names
 from slamhive.dashboard.publishing import questions, table
-from slamhive.dashboard.publishing.asking import Asker, PublishedRuns, RefusedQuestion, canonical
+from slamhive.dashboard.publishing.asking import PublishedRuns, QuestionAsker, RefusedQuestion, canonical
 from slamhive.dashboard.publishing.feed import badge, feed, places
 from slamhive.dashboard.publishing.folder import FORMAT, KIND, MARK, SiteFolder
 from slamhive.dashboard.publishing.runpages import RunPages
@@ -55,7 +55,7 @@ _NO_SCRIPT = (
 
 @dataclass(frozen=True)
 class BuiltSite:
-    """What came of building a site.
+    """Outcome of building a site.
 
     Attributes:
         runs: that it shows.
@@ -78,7 +78,7 @@ class BuiltSite:
 
 @dataclass(frozen=True)
 class SiteWish:
-    """What a site is to be.
+    """Wish for a site: its runs, its title, its address.
 
     Attributes:
         sweeps: whose runs it shows; empty for all.
@@ -145,7 +145,7 @@ class _Building:
         self._snapshot = snapshot
         self._wish = wish
         self._tell = tell
-        self._asker = Asker(source)
+        self._asker = QuestionAsker(source)
         self._answers: dict[str, Any] = {}
         self._files: dict[str, str] = {}
         self._tables: dict[str, str] = {}
