@@ -221,7 +221,7 @@ class _Building:
         return found.content
 
     def _ranks(self, frame: Frame) -> Iterator[Place]:
-        """Go through the places on the first board, that of most competitors."""
+        """Go through the places on all boards; of a badge's several ones that of most competitors counts."""
         names = ("algorithm", "sensors", "dataset")
         finished = frame.column("finished").floats()
         dates: dict[tuple[str, ...], float] = {}
@@ -231,9 +231,12 @@ class _Building:
         days = {key: _moment(at)[:10] for key, at in dates.items() if at == at}  # noqa: PLR0124
         asked = ("metric", questions.ERROR), ("by", questions.COMPETITORS[0]), ("outcomes", "tracked")
         found = self._answers.get(canonical(questions.address(f"{questions.ANALYSIS}/leaderboard", *asked)))
-        boards = (found or {}).get("boards") or []
-        if boards:
-            yield from places(max(boards, key=lambda board: len(board["entries"])), days)
+        seen: set[str] = set()
+        for board in sorted((found or {}).get("boards") or [], key=lambda one: -len(one["entries"])):
+            for place in places(board, days):
+                if place.file not in seen:
+                    seen.add(place.file)
+                    yield place
 
     def _lead_to(self, index: str, ranks: Iterable[Place], frame: Frame) -> None:
         """Write what leads to the answers: the feed and the badges, then the pages, the mark last."""
