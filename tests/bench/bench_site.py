@@ -66,7 +66,7 @@ def took(command: list[str], home: Path) -> float:
 
 
 def first_view(site: Path) -> dict[str, float]:
-    """Return how long pages take until they show all, and a brushed selection, in ms."""
+    """Return the times until pages show all, and a brushed selection, in ms."""
     program = find_browser()
     if program is None:
         return {}

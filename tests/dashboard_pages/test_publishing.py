@@ -94,12 +94,12 @@ def published(folder: Path) -> Iterator[str]:
 
 
 def index_of(folder: Path) -> dict[str, Any]:
-    """Return what tells where the answers of a site are."""
+    """Return the index of a site's answers."""
     return read(folder, json.loads((folder / "site.json").read_text())["index"])
 
 
 def read(folder: Path, name: str) -> Any:
-    """Return what a file of a site holds."""
+    """Return the content of a file of a site."""
     return json.loads(gzip.decompress((folder / "data" / name[:2] / f"{name}.json.gz").read_bytes()))
 
 

@@ -121,7 +121,7 @@ def found(
 
 @dataclass(frozen=True)
 class RunsAlike:
-    """What the answers on all runs, or on those of one subject, have in common.
+    """Common parts of the answers on all runs, or on those of one subject.
 
     Attributes:
         varied: headings of the settings by which runs of a subject differ, by the subject.

@@ -101,7 +101,7 @@ class PublishedRuns:
 
 
 class _Within:
-    """What workers do, done here and now: nobody else waits."""
+    """Workers' part, done here and now: nobody else waits."""
 
     async def compute(self, work: Callable[[], T], _: str = "") -> T:
         return work()
@@ -144,7 +144,7 @@ class RefusedQuestion:
     said: dict[str, Any]
 
 
-class Asker:
+class QuestionAsker:
     """Asks the API of a source."""
 
     def __init__(self, source: PublishedRuns) -> None:

@@ -21,7 +21,7 @@ from slamhive.analysis.selection import first_rows
 from slamhive.dashboard.answering.encoding import encode_csv, encode_json
 from slamhive.dashboard.answers.catalog import sweep_names
 from slamhive.dashboard.publishing import questions, table
-from slamhive.dashboard.publishing.asking import Asker, PublishedRuns, RefusedQuestion, canonical
+from slamhive.dashboard.publishing.asking import PublishedRuns, QuestionAsker, RefusedQuestion, canonical
 from slamhive.dashboard.publishing.feed import badge, feed, places
 from slamhive.dashboard.publishing.folder import FORMAT, KIND, MARK, SiteFolder
 from slamhive.dashboard.publishing.runpages import RunPages
@@ -55,7 +55,7 @@ _NO_SCRIPT = (
 
 @dataclass(frozen=True)
 class BuiltSite:
-    """What came of building a site.
+    """Outcome of building a site.
 
     Attributes:
         runs: that it shows.
@@ -78,7 +78,7 @@ class BuiltSite:
 
 @dataclass(frozen=True)
 class SiteWish:
-    """What a site is to be.
+    """Wish for a site: its runs, its title, its address.
 
     Attributes:
         sweeps: whose runs it shows; empty for all.
@@ -145,7 +145,7 @@ class _Building:
         self._snapshot = snapshot
         self._wish = wish
         self._tell = tell
-        self._asker = Asker(source)
+        self._asker = QuestionAsker(source)
         self._answers: dict[str, Any] = {}
         self._files: dict[str, str] = {}
         self._tables: dict[str, str] = {}
@@ -221,7 +221,7 @@ class _Building:
         return found.content
 
     def _ranks(self, frame: Frame) -> Iterator[Place]:
-        """Go through the places on the first board, that of most competitors."""
+        """Go through the places on all boards; of a badge's several ones that of most competitors counts."""
         names = ("algorithm", "sensors", "dataset")
         finished = frame.column("finished").floats()
         dates: dict[tuple[str, ...], float] = {}
@@ -231,9 +231,12 @@ class _Building:
         days = {key: _moment(at)[:10] for key, at in dates.items() if at == at}  # noqa: PLR0124
         asked = ("metric", questions.ERROR), ("by", questions.COMPETITORS[0]), ("outcomes", "tracked")
         found = self._answers.get(canonical(questions.address(f"{questions.ANALYSIS}/leaderboard", *asked)))
-        boards = (found or {}).get("boards") or []
-        if boards:
-            yield from places(max(boards, key=lambda board: len(board["entries"])), days)
+        seen: set[str] = set()
+        for board in sorted((found or {}).get("boards") or [], key=lambda one: -len(one["entries"])):
+            for place in places(board, days):
+                if place.file not in seen:
+                    seen.add(place.file)
+                    yield place
 
     def _lead_to(self, index: str, ranks: Iterable[Place], frame: Frame) -> None:
         """Write what leads to the answers: the feed and the badges, then the pages, the mark last."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What leads to a site from elsewhere: an Atom feed of its sweeps and ranks, and badges."""
+"""Ways to a site from elsewhere: an Atom feed of its sweeps and ranks, and badges."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def badge(place: Place) -> bytes:
 
 
 @dataclass(frozen=True)
-class _Entry:
+class _FeedEntry:
     """Entry of a feed."""
 
     known: str
@@ -153,7 +153,7 @@ def feed(
         ranks: of competitors.
     """
     entries = [
-        _Entry(
+        _FeedEntry(
             f"sweep {one['name']}",
             f"Sweep {one['name']}: {one['runs']} runs",
             one.get("finished") or updated,
@@ -163,7 +163,7 @@ def feed(
         for one in sweeps
     ]
     entries += [
-        _Entry(
+        _FeedEntry(
             f"rank {one.file}",
             f"{one.competitor} on {one.dataset}: {one.said}",
             f"{one.date}T00:00:00+00:00" if one.date else updated,

@@ -71,7 +71,7 @@ class SiteFolder:
         return self.path / "data" / name[:2] / f"{name}.json.gz"
 
     def read(self, name: str) -> Any:
-        """Return what was kept under a name.
+        """Return the answer that was kept under a name.
 
         Raises:
             InputError: it is not there any more, or was changed.
@@ -112,7 +112,7 @@ class SiteFolder:
 
 
 def _mark_of(path: Path) -> dict[str, Any]:
-    """Return what the mark of a site says, {} where there is nothing yet.
+    """Return the mark of a site, {} where there is nothing yet.
 
     Raises:
         InputError: there is something else.

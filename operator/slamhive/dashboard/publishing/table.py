@@ -87,7 +87,7 @@ def _is_shown(column: Column, name: str) -> bool:
 
 
 def _repeated(frame: Frame) -> dict[str, Any]:
-    """Return what tells equal content apart and which run of it stays; {} where all content is different."""
+    """Return the columns of equal content and of its order of staying; {} where all content is different."""
     groups = contents(frame)
     known = groups[groups >= 0]
     if len(np.unique(known)) == len(known):
@@ -98,7 +98,7 @@ def _repeated(frame: Frame) -> dict[str, Any]:
 
 
 def _blocks(folder: SiteFolder, column: Column, rows: int) -> list[Any]:
-    """Return where each block of a column is: the name of a file, or itself where that is shorter."""
+    """Return the place of each block of a column: the name of a file, or itself where that is shorter."""
     found: list[Any] = []
     for start in range(0, rows, BLOCK):
         part = coded(column.take(np.arange(start, min(start + BLOCK, rows))))
