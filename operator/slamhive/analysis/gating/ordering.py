@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamhive.analysis.gating.deciding import Answer
+from slamhive.analysis.gating.deciding import GateAnswer
 from slamhive.analysis.gating.figures import FAILURES
 from slamhive.analysis.gating.testing import shift_of
 
@@ -24,7 +24,7 @@ def next_runs(
     most: int,
     planned: Sequence[int] | None = None,
 ) -> dict[int, int]:
-    """Return how many more runs of which cells to do before the next look; empty where none may tell more.
+    """Return the number of runs of each cell to do before the next look; empty where none may tell more.
 
     Args:
         cells: with their runs so far.
@@ -35,7 +35,7 @@ def next_runs(
     counts = list(planned or [cell.now.count for cell in cells])
     if not findings:
         return {number: 1 for number, count in enumerate(counts) if not count}
-    waiting = [one for one in findings if one.answer is Answer.UNKNOWN and one.mends]
+    waiting = [one for one in findings if one.answer is GateAnswer.UNKNOWN and one.mends]
     if not waiting:
         return {}
     wanted: dict[int, int] = {}
@@ -62,7 +62,7 @@ def next_runs(
 
 
 def _weights(cells: Sequence[GateCell], waiting: Sequence[GateFinding]) -> list[float]:
-    """Return what the variance of each cell weighs in the open figures, by their margins, (cells,)."""
+    """Return the weight of each cell's variance in the open figures, by their margins, (cells,)."""
     found = np.full(len(cells), 1e-9)
     for one in waiting:
         if one.figure.name == FAILURES:

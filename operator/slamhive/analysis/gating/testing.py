@@ -77,7 +77,7 @@ class Shift:
     degrees: int
 
     def reach(self, level: float) -> float:
-        """Return how far an end of the interval is from the mean, at a one-sided level."""
+        """Return the distance from the mean to an end of the interval, at a one-sided level."""
         if self.error is None:
             return math.inf
         return student_quantile(1 - level, self.degrees) * self.error if self.error else 0.0
@@ -91,7 +91,7 @@ class Shift:
 
 
 def shift_of(figure: GateFigure, cells: Sequence[GateCell]) -> Shift | None:
-    """Return how much worse a figure became; None where no cell has numbers on both sides."""
+    """Return the shift of a figure over all cells; None where no cell has numbers on both sides."""
     found = []
     for number, cell in enumerate(cells):
         before, now = (
