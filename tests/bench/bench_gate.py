@@ -139,8 +139,6 @@ def main() -> None:
         return
     decisions = int(sys.argv[1]) if len(sys.argv) > 1 else DECISIONS
     for change in CHANGES:
-        if "-n" in sys.argv and change.name not in {"none", "a third of runs fail"}:
-            continue
         told: dict[bool, Any] = {}
         for fixed in (False, True):
             lab = Laboratory(2023)
@@ -152,12 +150,6 @@ def main() -> None:
             unknown = shares[GateAnswer.UNKNOWN]
             words = f"worse {shares[GateAnswer.WORSE]:.1%}, passed {passed:.1%}, can't tell {unknown:.1%}"
             told[fixed] = f"{words}; {np.mean(runs):.1f} runs (most {max(runs)})"
-            if "-v" in sys.argv:
-                why = defaultdict(int)
-                for gate, _ in ends:
-                    for one in gate.findings:
-                        why[one.figure.name, str(one.answer)] += 1
-                print({k: v for k, v in why.items() if k[1] != "no worse"})
         print(f"{change.name} · {told[False]} · five fixed: {told[True]}")
 
 

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 _SHRUNK = 20.0
 """Runs that the share of failures of all cells weighs in that of one."""
 
+_RARELY = 0.1
+"""Weight of what was recorded otherwise: no failure after some, some after none."""
+
 _STANDS_OUT = 2.0
 """Margins beyond which one cell may stand out, though all together are within one."""
 
@@ -164,13 +167,14 @@ def failure_chances(cells: Sequence[GateCell]) -> tuple[float, float]:
 def failure_evidence(cells: Sequence[GateCell], margin: float) -> float:
     """Return the evidence that runs fail less often than before by a margin more, as a betting factor.
 
-    It is the mean of two likelihood ratios against the recorded share plus the margin: of no failure, and of
-    about the recorded share. Where failures are as frequent, it is beyond 1/α with a probability of α at
+    It is a mean of two likelihood ratios against the recorded share plus the margin: of no failure, which
+    weighs more where none was recorded, and of about the recorded share. Where failures are as frequent, it is beyond 1/α with a probability of α at
     most, however often one looks (Ville 1939).
     """
     never, recorded = 0.0, 0.0
-    total = sum(cell.before.count for cell in cells)
-    usually = (sum(cell.before.failed for cell in cells) + 0.5) / (total + 1)
+    lost = sum(cell.before.failed for cell in cells)
+    usually = (lost + 0.5) / (sum(cell.before.count for cell in cells) + 1)
+    weight = _RARELY if lost else 1 - _RARELY
     for cell in cells:
         # Of few runs a cell's own share is little known: it is drawn towards that of all.
         usual = (cell.before.failed + _SHRUNK * usually) / (cell.before.count + _SHRUNK)
@@ -180,7 +184,7 @@ def failure_evidence(cells: Sequence[GateCell], margin: float) -> float:
         good = cell.now.count - cell.now.failed
         never += -math.inf if cell.now.failed else -good * math.log1p(-limit)
         recorded += good * math.log((1 - usual) / (1 - limit)) + cell.now.failed * math.log(usual / limit)
-    return (math.exp(min(never, 700)) + math.exp(min(recorded, 700))) / 2
+    return weight * math.exp(min(never, 700)) + (1 - weight) * math.exp(min(recorded, 700))
 
 
 def failure_bound(cells: Sequence[GateCell], level: float) -> float:
