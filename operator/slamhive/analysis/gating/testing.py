@@ -168,8 +168,8 @@ def failure_evidence(cells: Sequence[GateCell], margin: float) -> float:
     """Return the evidence that runs fail less often than before by a margin more, as a betting factor.
 
     It is a mean of two likelihood ratios against the recorded share plus the margin: of no failure, which
-    weighs more where none was recorded, and of about the recorded share. Where failures are as frequent, it is beyond 1/α with a probability of α at
-    most, however often one looks (Ville 1939).
+    weighs more where none was recorded, and of about the recorded share. Where failures are as frequent as
+    that, it is beyond 1/α with a probability of α at most, however often one looks (Ville 1939).
     """
     never, recorded = 0.0, 0.0
     lost = sum(cell.before.failed for cell in cells)
