@@ -45,7 +45,7 @@ NOISY = (1.00, 1.02, 0.98, 1.01, 0.99)
     [
         ((1.0, 1.01), GateAnswer.NO_WORSE),
         ((1.04, 1.05, 1.03), GateAnswer.NO_WORSE),
-        ((1.2, 1.22, 1.19), GateAnswer.WORSE),
+        ((1.2, 1.22, 1.19, 1.21), GateAnswer.WORSE),
         ((0.8, 0.81, 0.79), GateAnswer.BETTER),
         ((0.9, 1.3), GateAnswer.UNKNOWN),
     ],

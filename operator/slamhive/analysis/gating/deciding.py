@@ -20,6 +20,7 @@ from slamhive.analysis.gating.testing import (
     failure_chances,
     failure_evidence,
     failure_share,
+    permuted_chance,
     shift_of,
     standing_out,
 )
@@ -212,6 +213,8 @@ def _of_numbers(figure: GateFigure, cells: Sequence[GateCell], level: float) -> 
         tuple(one.cell for one in out),
     )
     overall = shift.chance() if shift.mean > figure.bound else 1.0
+    if shift.error and overall <= ALARMS:
+        overall = max(overall, permuted_chance(figure, cells))
     # Two tests of one figure, of all cells and of the worst: each has half of what is allowed.
     worse = min(1.0, 2 * min([overall, *chances]))
     return _FigureLook(

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from slamhive.analysis.gating.cells import GateCell
     from slamhive.analysis.gating.deciding import GateFinding
 
+_LEAST_BATCH = 2
+"""Runs between two looks at least: each look costs a part of what may be spent."""
+
 
 def next_runs(
     cells: Sequence[GateCell],
@@ -49,7 +52,7 @@ def next_runs(
     for number in dict.fromkeys(cell for one in waiting for cell in one.cells):
         take(number, max(1, counts[number]))  # twice as many as there are
     weights = _weights(cells, waiting)
-    for _ in range(max(0, (len(cells) + 1) // 2 - sum(wanted.values()))):
+    for _ in range(max(0, max(_LEAST_BATCH, (len(cells) + 1) // 2) - sum(wanted.values()))):
         gains = [
             weight / (count * (count + 1)) if count < most else -1.0
             for weight, count in zip(weights, np.maximum(counts, 1).tolist(), strict=True)
