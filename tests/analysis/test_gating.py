@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from slamhive.analysis.gating.cells import GateCell, GateRuns
-from slamhive.analysis.gating.deciding import Answer, Gate
+from slamhive.analysis.gating.deciding import Gate, GateAnswer
 from slamhive.analysis.gating.figures import FAILURES, GateFigure, parse_figure
 from slamhive.analysis.gating.ordering import next_runs
 from slamhive.analysis.gating.spending import Spending
@@ -43,35 +43,38 @@ NOISY = (1.00, 1.02, 0.98, 1.01, 0.99)
 @pytest.mark.parametrize(
     ("now", "expected"),
     [
-        ((1.0, 1.01), Answer.NO_WORSE),
-        ((1.04, 1.05, 1.03), Answer.NO_WORSE),
-        ((1.2, 1.22, 1.19), Answer.WORSE),
-        ((0.8, 0.81, 0.79), Answer.BETTER),
-        ((0.9, 1.3), Answer.UNKNOWN),
+        ((1.0, 1.01), GateAnswer.NO_WORSE),
+        ((1.04, 1.05, 1.03), GateAnswer.NO_WORSE),
+        ((1.2, 1.22, 1.19, 1.21), GateAnswer.WORSE),
+        ((0.8, 0.81, 0.79), GateAnswer.BETTER),
+        ((0.9, 1.3), GateAnswer.UNKNOWN),
     ],
 )
-def test_a_figure_is_held_against_its_margin(now: tuple[float, ...], expected: Answer) -> None:
+def test_a_figure_is_held_against_its_margin(now: tuple[float, ...], expected: GateAnswer) -> None:
     assert answer(cell(NOISY, now)).answer is expected
 
 
 def test_what_varies_in_nothing_needs_a_second_run_where_it_changed_and_none_where_it_did_not() -> None:
     still = (1.0, 1.0, 1.0)
-    assert answer(cell(still, (1.0,))).answer is Answer.NO_WORSE
-    assert answer(cell(still, (1.5,))).answer is Answer.UNKNOWN
+    assert answer(cell(still, (1.0,))).answer is GateAnswer.NO_WORSE
+    assert answer(cell(still, (1.5,))).answer is GateAnswer.UNKNOWN
     found = answer(cell(still, (1.5, 1.5)))
-    assert (found.answer, round(found.low, 6)) == (Answer.WORSE, round(math.log(1.5), 6))
+    assert (found.answer, round(found.low, 6)) == (GateAnswer.WORSE, round(math.log(1.5), 6))
 
 
 def test_one_dataset_that_got_much_worse_is_no_average_over_the_others() -> None:
     others = [cell((1.0, 1.0), (1.0, 1.0)) for _ in range(19)]
     found = answer(*others, cell((1.0, 1.0), (2.0, 2.0), "lost"))
     assert found.shift < ATE.bound
-    assert (found.answer, found.cells) == (Answer.WORSE, (19,))
+    assert (found.answer, found.cells) == (GateAnswer.WORSE, (19,))
 
 
 def test_one_run_a_side_tells_no_spread() -> None:
     found = answer(cell((1.0,), (1.0,)), cell((1.0,), (1.1,)))
-    assert (found.answer, found.why) == (Answer.UNKNOWN, "one run of a setting says nothing of its spread")
+    assert (found.answer, found.why) == (
+        GateAnswer.UNKNOWN,
+        "one run of a setting says nothing of its spread",
+    )
 
 
 def test_accuracies_are_better_when_they_grow() -> None:
@@ -82,18 +85,18 @@ def test_accuracies_are_better_when_they_grow() -> None:
         GateRuns([True] * 2, {"coverage": [0.8, 0.8]}),
     )
     found = answer(grown, figure=figure)
-    assert found.answer is Answer.BETTER
+    assert found.answer is GateAnswer.BETTER
     assert figure.change(found.shift) == pytest.approx(0.3)
 
 
 def test_failures_are_told_from_chance_and_none_takes_a_dozen_runs() -> None:
     figure = GateFigure(FAILURES, 0.3)
     good, bad = (1.0,) * 5, (math.nan,) * 5
-    assert answer(cell(good, good), figure=figure).answer is Answer.UNKNOWN
-    assert answer(*[cell(good, good) for _ in range(3)], figure=figure).answer is Answer.NO_WORSE
+    assert answer(cell(good, good), figure=figure).answer is GateAnswer.UNKNOWN
+    assert answer(*[cell(good, good) for _ in range(3)], figure=figure).answer is GateAnswer.NO_WORSE
     found = answer(*[cell(good, good) for _ in range(3)], cell(good * 2, bad, "lost"), figure=figure)
-    assert (found.answer, found.cells) == (Answer.WORSE, (3,))
-    assert answer(*[cell(bad, bad) for _ in range(3)], figure=figure).answer is not Answer.WORSE
+    assert (found.answer, found.cells) == (GateAnswer.WORSE, (3,))
+    assert answer(*[cell(bad, bad) for _ in range(3)], figure=figure).answer is not GateAnswer.WORSE
 
 
 def test_what_stands_out_is_repeated_first() -> None:
@@ -129,9 +132,9 @@ def test_with_the_spread_of_real_repetitions_few_are_called_worse_and_a_fifth_is
     none, much = bench.CHANGES[0], bench.CHANGES[3]
     same = [bench.decide(lab, none, fixed=False) for _ in range(40)]
     worse = [bench.decide(lab, much, fixed=False) for _ in range(20)]
-    assert sum(gate.answer is Answer.WORSE for gate, _ in same) <= 2
-    assert sum(gate.answer is Answer.NO_WORSE for gate, _ in same) >= 36
-    assert all(gate.answer is Answer.WORSE for gate, _ in worse)
+    assert sum(gate.answer is GateAnswer.WORSE for gate, _ in same) <= 2
+    assert sum(gate.answer is GateAnswer.NO_WORSE for gate, _ in same) >= 36
+    assert all(gate.answer is GateAnswer.WORSE for gate, _ in worse)
     assert np.mean([count for _, count in [*same, *worse]]) <= bench.FIXED * len(lab.means) / 2
 
 

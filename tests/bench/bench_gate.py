@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.gating.cells import GateCell, GateRuns
-from slamhive.analysis.gating.deciding import Answer, Gate
+from slamhive.analysis.gating.deciding import Gate, GateAnswer
 from slamhive.analysis.gating.figures import COVERAGE, FAILURES, MARGINS, MEMORY, GateFigure
 from slamhive.analysis.gating.ordering import next_runs
 
@@ -139,25 +139,17 @@ def main() -> None:
         return
     decisions = int(sys.argv[1]) if len(sys.argv) > 1 else DECISIONS
     for change in CHANGES:
-        if "-n" in sys.argv and change.name not in {"none", "a third of runs fail"}:
-            continue
         told: dict[bool, Any] = {}
         for fixed in (False, True):
             lab = Laboratory(2023)
             ends = [decide(lab, change, fixed=fixed) for _ in range(decisions)]
             answers = [gate.answer for gate, _ in ends]
-            shares = {one: answers.count(one) / decisions for one in Answer}
+            shares = {one: answers.count(one) / decisions for one in GateAnswer}
             runs = [count for _, count in ends]
-            passed = shares[Answer.NO_WORSE] + shares[Answer.BETTER]
-            unknown = shares[Answer.UNKNOWN]
-            words = f"worse {shares[Answer.WORSE]:.1%}, passed {passed:.1%}, can't tell {unknown:.1%}"
+            passed = shares[GateAnswer.NO_WORSE] + shares[GateAnswer.BETTER]
+            unknown = shares[GateAnswer.UNKNOWN]
+            words = f"worse {shares[GateAnswer.WORSE]:.1%}, passed {passed:.1%}, can't tell {unknown:.1%}"
             told[fixed] = f"{words}; {np.mean(runs):.1f} runs (most {max(runs)})"
-            if "-v" in sys.argv:
-                why = defaultdict(int)
-                for gate, _ in ends:
-                    for one in gate.findings:
-                        why[one.figure.name, str(one.answer)] += 1
-                print({k: v for k, v in why.items() if k[1] != "no worse"})
         print(f"{change.name} · {told[False]} · five fixed: {told[True]}")
 
 

@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from slamhive.analysis.gating.cells import GateCell, GateRuns
-from slamhive.analysis.gating.deciding import Answer, Gate
+from slamhive.analysis.gating.deciding import Gate, GateAnswer
 from slamhive.analysis.gating.figures import GateFigure
 from slamhive.model.errors import InputError
 from slamhive.reporting.gate.baseline import Baseline, BaselineCell, read_baseline
@@ -106,7 +106,7 @@ def report(name: str = "<b>| x") -> GateReport:
     still, worse = (GateRuns([True] * 3, {"ate.rmse": [number] * 3}) for number in (1.0, 2.0))
     cells = [GateCell(name, still, worse)]
     gate = Gate([GateFigure("ate.rmse", 0.1), GateFigure("coverage", 0.1)])
-    return GateReport("s", "b.json", Answer.WORSE, gate.look(cells), cells, 3.0, "sure", ["a `note`"])
+    return GateReport("s", "b.json", GateAnswer.WORSE, gate.look(cells), cells, 3.0, "sure", ["a `note`"])
 
 
 def test_markdown_says_it_and_takes_no_markup_of_names() -> None:

@@ -20,6 +20,7 @@ from slamhive.analysis.gating.testing import (
     failure_chances,
     failure_evidence,
     failure_share,
+    permuted_chance,
     shift_of,
     standing_out,
 )
@@ -38,7 +39,7 @@ _LEAST_BETTER = 0.001
 """Change below which nothing is called better: digits of another processor."""
 
 
-class Answer(StrEnum):
+class GateAnswer(StrEnum):
     """Answer of a gate on a figure."""
 
     BETTER = "better"
@@ -63,7 +64,7 @@ class GateFinding:
     """
 
     figure: GateFigure
-    answer: Answer
+    answer: GateAnswer
     shift: float = math.nan
     low: float = -math.inf
     high: float = math.inf
@@ -74,7 +75,7 @@ class GateFinding:
 
 
 @dataclass(frozen=True)
-class _Look:
+class _FigureLook:
     finding: GateFinding
     worse: float
     better: float
@@ -106,17 +107,17 @@ class Gate:
         self._passing = Spending(self.alarms)
 
     @property
-    def answer(self) -> Answer:
+    def answer(self) -> GateAnswer:
         """Answer of the gate as a whole: its worst."""
         answers = {one.answer for one in self.findings}
-        order = (Answer.WORSE, Answer.UNKNOWN, Answer.NO_WORSE, Answer.BETTER)
-        return next((one for one in order if one in answers), Answer.UNKNOWN)
+        order = (GateAnswer.WORSE, GateAnswer.UNKNOWN, GateAnswer.NO_WORSE, GateAnswer.BETTER)
+        return next((one for one in order if one in answers), GateAnswer.UNKNOWN)
 
     @property
     def is_sure(self) -> bool:
         """Tell whether more runs would change nothing that matters."""
-        waits = any(one.answer is Answer.UNKNOWN and one.mends for one in self.findings)
-        return bool(self.findings) and (self.answer is Answer.WORSE or not waits)
+        waits = any(one.answer is GateAnswer.UNKNOWN and one.mends for one in self.findings)
+        return bool(self.findings) and (self.answer is GateAnswer.WORSE or not waits)
 
     def look(self, cells: Sequence[GateCell], *, last: bool = False) -> list[GateFinding]:
         """Decide by what there is now.
@@ -133,37 +134,37 @@ class Gate:
         self.findings = []
         for one, chance_worse, chance_better in zip(seen, worse, better, strict=True):
             finding, name = one.finding, one.finding.figure.name
-            answer = Answer.UNKNOWN
+            answer = GateAnswer.UNKNOWN
             if chance_worse <= level and one.beyond:
-                answer = Answer.WORSE
+                answer = GateAnswer.WORSE
             elif chance_better <= level and finding.shift < -_LEAST_BETTER:
-                answer = Answer.BETTER
+                answer = GateAnswer.BETTER
             elif one.passes:
-                answer = Answer.NO_WORSE
+                answer = GateAnswer.NO_WORSE
             elif name in self._settled:
                 finding, answer = self._settled[name], self._settled[name].answer
             found = _answered(finding, answer)
-            if answer in {Answer.NO_WORSE, Answer.BETTER}:
+            if answer in {GateAnswer.NO_WORSE, GateAnswer.BETTER}:
                 self._settled[name] = found
             self.findings.append(found)
-        if self.answer is Answer.WORSE:
+        if self.answer is GateAnswer.WORSE:
             open_ = {
                 number
                 for number, one in enumerate(self.findings)
-                if one.answer is Answer.UNKNOWN and one.mends
+                if one.answer is GateAnswer.UNKNOWN and one.mends
             }
             for number in open_:
                 self.findings[number] = replace(self.findings[number], why="still open when it ended")
         return self.findings
 
-    def _look_at(self, figure: GateFigure, cells: Sequence[GateCell], level: float) -> _Look:
+    def _look_at(self, figure: GateFigure, cells: Sequence[GateCell], level: float) -> _FigureLook:
         if figure.name in self.refused:
             return _nothing(figure, self.refused[figure.name])
         if figure.name == FAILURES:
             return self._of_failures(figure, cells)
         return _of_numbers(figure, cells, level)
 
-    def _of_failures(self, figure: GateFigure, cells: Sequence[GateCell]) -> _Look:
+    def _of_failures(self, figure: GateFigure, cells: Sequence[GateCell]) -> _FigureLook:
         worse, better = failure_chances(cells)
         before, now = (failure_share(cells, now=side) for side in (False, True))
         counts = sum(cell.before.count for cell in cells), sum(cell.now.count for cell in cells)
@@ -175,9 +176,9 @@ class Gate:
         )
         high = failure_bound(cells, self.alarms)
         passes = failure_evidence(cells, figure.margin) >= 1 / self.alarms
-        finding = GateFinding(figure, Answer.UNKNOWN, now - before, -math.inf, high, counts, "", failing)
+        finding = GateFinding(figure, GateAnswer.UNKNOWN, now - before, -math.inf, high, counts, "", failing)
         # Any more that is no chance counts: one dataset of nine that is always lost is within any margin.
-        return _Look(finding, worse, better, passes=passes and worse > self.alarms, beyond=now > before)
+        return _FigureLook(finding, worse, better, passes=passes and worse > self.alarms, beyond=now > before)
 
 
 def _information(cells: Sequence[GateCell]) -> float:
@@ -187,12 +188,12 @@ def _information(cells: Sequence[GateCell]) -> float:
     return len(both) ** 2 / variance if variance else 1e-9
 
 
-def _nothing(figure: GateFigure, why: str) -> _Look:
-    finding = GateFinding(figure, Answer.UNKNOWN, why=why, mends=False)
-    return _Look(finding, 1.0, 1.0, passes=False, beyond=False)
+def _nothing(figure: GateFigure, why: str) -> _FigureLook:
+    finding = GateFinding(figure, GateAnswer.UNKNOWN, why=why, mends=False)
+    return _FigureLook(finding, 1.0, 1.0, passes=False, beyond=False)
 
 
-def _of_numbers(figure: GateFigure, cells: Sequence[GateCell], level: float) -> _Look:
+def _of_numbers(figure: GateFigure, cells: Sequence[GateCell], level: float) -> _FigureLook:
     shift = shift_of(figure, cells)
     if shift is None:
         known = any(cell.before.numbers(figure.name, logarithms=False).size for cell in cells)
@@ -203,7 +204,7 @@ def _of_numbers(figure: GateFigure, cells: Sequence[GateCell], level: float) -> 
     reach = shift.reach(level)
     finding = GateFinding(
         figure,
-        Answer.UNKNOWN,
+        GateAnswer.UNKNOWN,
         shift.mean,
         shift.mean - reach,
         shift.mean + reach,
@@ -212,9 +213,11 @@ def _of_numbers(figure: GateFigure, cells: Sequence[GateCell], level: float) -> 
         tuple(one.cell for one in out),
     )
     overall = shift.chance() if shift.mean > figure.bound else 1.0
+    if shift.error and overall <= ALARMS:
+        overall = max(overall, permuted_chance(figure, cells))
     # Two tests of one figure, of all cells and of the worst: each has half of what is allowed.
     worse = min(1.0, 2 * min([overall, *chances]))
-    return _Look(
+    return _FigureLook(
         finding,
         worse,
         shift.chance(worse=False),
@@ -223,9 +226,9 @@ def _of_numbers(figure: GateFigure, cells: Sequence[GateCell], level: float) -> 
     )
 
 
-def _answered(finding: GateFinding, answer: Answer) -> GateFinding:
+def _answered(finding: GateFinding, answer: GateAnswer) -> GateFinding:
     why = finding.why
-    if answer is Answer.UNKNOWN and not why:
+    if answer is GateAnswer.UNKNOWN and not why:
         if finding.figure.name == FAILURES:
             why = "too few runs to know that no more fail than before"
         elif math.isinf(finding.high):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamhive.analysis.gating.deciding import Answer
+from slamhive.analysis.gating.deciding import GateAnswer
 from slamhive.analysis.gating.figures import FAILURES
 from slamhive.analysis.gating.testing import shift_of
 
@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from slamhive.analysis.gating.cells import GateCell
     from slamhive.analysis.gating.deciding import GateFinding
 
+_LEAST_BATCH = 2
+"""Runs between two looks at least: each look costs a part of what may be spent."""
+
 
 def next_runs(
     cells: Sequence[GateCell],
@@ -24,7 +27,7 @@ def next_runs(
     most: int,
     planned: Sequence[int] | None = None,
 ) -> dict[int, int]:
-    """Return how many more runs of which cells to do before the next look; empty where none may tell more.
+    """Return the number of runs of each cell to do before the next look; empty where none may tell more.
 
     Args:
         cells: with their runs so far.
@@ -35,7 +38,7 @@ def next_runs(
     counts = list(planned or [cell.now.count for cell in cells])
     if not findings:
         return {number: 1 for number, count in enumerate(counts) if not count}
-    waiting = [one for one in findings if one.answer is Answer.UNKNOWN and one.mends]
+    waiting = [one for one in findings if one.answer is GateAnswer.UNKNOWN and one.mends]
     if not waiting:
         return {}
     wanted: dict[int, int] = {}
@@ -49,7 +52,7 @@ def next_runs(
     for number in dict.fromkeys(cell for one in waiting for cell in one.cells):
         take(number, max(1, counts[number]))  # twice as many as there are
     weights = _weights(cells, waiting)
-    for _ in range(max(0, (len(cells) + 1) // 2 - sum(wanted.values()))):
+    for _ in range(max(0, max(_LEAST_BATCH, (len(cells) + 1) // 2) - sum(wanted.values()))):
         gains = [
             weight / (count * (count + 1)) if count < most else -1.0
             for weight, count in zip(weights, np.maximum(counts, 1).tolist(), strict=True)
@@ -62,7 +65,7 @@ def next_runs(
 
 
 def _weights(cells: Sequence[GateCell], waiting: Sequence[GateFinding]) -> list[float]:
-    """Return what the variance of each cell weighs in the open figures, by their margins, (cells,)."""
+    """Return the weight of each cell's variance in the open figures, by their margins, (cells,)."""
     found = np.full(len(cells), 1e-9)
     for one in waiting:
         if one.figure.name == FAILURES:

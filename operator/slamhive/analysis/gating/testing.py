@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,8 +24,13 @@ if TYPE_CHECKING:
     from slamhive.analysis.gating.cells import GateCell
     from slamhive.analysis.gating.figures import GateFigure
 
+_EXCHANGES = 20_000
+
 _SHRUNK = 20.0
 """Runs that the share of failures of all cells weighs in that of one."""
+
+_RARELY = 0.1
+"""Weight of what was recorded otherwise: no failure after some, some after none."""
 
 _STANDS_OUT = 2.0
 """Margins beyond which one cell may stand out, though all together are within one."""
@@ -77,7 +83,7 @@ class Shift:
     degrees: int
 
     def reach(self, level: float) -> float:
-        """Return how far an end of the interval is from the mean, at a one-sided level."""
+        """Return the distance from the mean to an end of the interval, at a one-sided level."""
         if self.error is None:
             return math.inf
         return student_quantile(1 - level, self.degrees) * self.error if self.error else 0.0
@@ -91,7 +97,7 @@ class Shift:
 
 
 def shift_of(figure: GateFigure, cells: Sequence[GateCell]) -> Shift | None:
-    """Return how much worse a figure became; None where no cell has numbers on both sides."""
+    """Return the shift of a figure over all cells; None where no cell has numbers on both sides."""
     found = []
     for number, cell in enumerate(cells):
         before, now = (
@@ -134,6 +140,37 @@ def _cell_shift(number: int, before: Floats, now: Floats) -> CellShift:
     )
 
 
+def permuted_chance(figure: GateFigure, cells: Sequence[GateCell]) -> float:
+    """Return the one-sided p of a figure's mean shift by exchanging runs of before and now within cells.
+
+    However runs are distributed it is right, of few runs too, where Student's t trusts in a normal one: a
+    single run of a heavy tail isn't called worse. Exact up to 20,000 exchanges, else by as many at random.
+    """
+    both, seen, ways = [], 0.0, 1
+    for cell in cells:
+        before, now = (
+            figure.sign * side.numbers(figure.name, logarithms=figure.scale is MarginScale.RATIO)
+            for side in (cell.before, cell.now)
+        )
+        if len(before) and len(now):
+            both.append((np.concatenate([before, now]), len(now)))
+            seen += float(now.mean() - before.mean())
+            ways *= math.comb(len(before) + len(now), len(now))
+    random = np.random.default_rng(0)
+    shifts = np.zeros(1 if ways <= _EXCHANGES else _EXCHANGES)
+    for numbers, count in both:
+        total, others = float(numbers.sum()), len(numbers) - count
+        if ways <= _EXCHANGES:
+            sums = np.array([sum(chosen) for chosen in combinations(numbers.tolist(), count)])
+        else:
+            places = np.argpartition(random.random((_EXCHANGES, len(numbers))), count - 1, axis=1)
+            sums = numbers[places[:, :count]].sum(axis=1)
+        drawn = sums / count - (total - sums) / others
+        shifts = (shifts[:, None] + drawn).ravel() if ways <= _EXCHANGES else shifts + drawn
+    beyond = int(np.count_nonzero(shifts >= seen - 1e-12 * (1 + abs(seen))))
+    return beyond / ways if ways <= _EXCHANGES else (beyond + 1) / (_EXCHANGES + 1)
+
+
 def standing_out(figure: GateFigure, shift: Shift) -> list[CellShift]:
     """Return the cells whose runs are all worse than any before, by over two margins, the worst first."""
     found = [one for one in shift.cells if one.above and one.shift > _STANDS_OUT * figure.bound]
@@ -164,13 +201,14 @@ def failure_chances(cells: Sequence[GateCell]) -> tuple[float, float]:
 def failure_evidence(cells: Sequence[GateCell], margin: float) -> float:
     """Return the evidence that runs fail less often than before by a margin more, as a betting factor.
 
-    It is the mean of two likelihood ratios against the recorded share plus the margin: of no failure, and of
-    about the recorded share. Where failures are as frequent, it is beyond 1/α with a probability of α at
-    most, however often one looks (Ville 1939).
+    It is a mean of two likelihood ratios against the recorded share plus the margin: of no failure, which
+    weighs more where none was recorded, and of about the recorded share. Where failures are as frequent as
+    that, it is beyond 1/α with a probability of α at most, however often one looks (Ville 1939).
     """
     never, recorded = 0.0, 0.0
-    total = sum(cell.before.count for cell in cells)
-    usually = (sum(cell.before.failed for cell in cells) + 0.5) / (total + 1)
+    lost = sum(cell.before.failed for cell in cells)
+    usually = (lost + 0.5) / (sum(cell.before.count for cell in cells) + 1)
+    weight = _RARELY if lost else 1 - _RARELY
     for cell in cells:
         # Of few runs a cell's own share is little known: it is drawn towards that of all.
         usual = (cell.before.failed + _SHRUNK * usually) / (cell.before.count + _SHRUNK)
@@ -180,7 +218,7 @@ def failure_evidence(cells: Sequence[GateCell], margin: float) -> float:
         good = cell.now.count - cell.now.failed
         never += -math.inf if cell.now.failed else -good * math.log1p(-limit)
         recorded += good * math.log((1 - usual) / (1 - limit)) + cell.now.failed * math.log(usual / limit)
-    return (math.exp(min(never, 700)) + math.exp(min(recorded, 700))) / 2
+    return weight * math.exp(min(never, 700)) + (1 - weight) * math.exp(min(recorded, 700))
 
 
 def failure_bound(cells: Sequence[GateCell], level: float) -> float:

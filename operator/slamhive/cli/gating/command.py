@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slamhive import __version__
-from slamhive.analysis.gating.deciding import Answer
+from slamhive.analysis.gating.deciding import GateAnswer
 from slamhive.analysis.gating.figures import (
     MARGINS,
     USUAL_MARGIN,
@@ -63,7 +63,7 @@ if TYPE_CHECKING:
 
     from slamhive.local.running.workbench import Workbench
 
-_ENDS = {Answer.WORSE: WORSE, Answer.UNKNOWN: UNKNOWN, Answer.NO_WORSE: 0, Answer.BETTER: 0}
+_ENDS = {GateAnswer.WORSE: WORSE, GateAnswer.UNKNOWN: UNKNOWN, GateAnswer.NO_WORSE: 0, GateAnswer.BETTER: 0}
 
 
 def gate(
@@ -244,7 +244,7 @@ def _told(report: GateReport | None, comparing: Comparing, *, faults: bool) -> i
         remark("interrupted; the same command goes on from here")
         return INTERRUPTED
     _tell(report, comparing)
-    return FAILED if faults and report.answer is not Answer.WORSE else _ENDS[report.answer]
+    return FAILED if faults and report.answer is not GateAnswer.WORSE else _ENDS[report.answer]
 
 
 def _tell(report: GateReport, comparing: Comparing) -> None:

@@ -50,7 +50,7 @@ _MOST_TOLD = 3
 
 @dataclass(frozen=True)
 class Comparing:
-    """What is compared with, and where it is told.
+    """Baseline of a comparison, and the files that tell it.
 
     Attributes:
         known, path: the baseline and its file.
@@ -64,7 +64,7 @@ class Comparing:
 
 
 @dataclass
-class _Pair:
+class _SettingPair:
     """A setting that both sides have.
 
     Attributes:
@@ -77,7 +77,7 @@ class _Pair:
     before: BaselineCell
 
 
-def _pairs(tests: Sequence[GateSweep], comparing: Comparing, notes: list[str]) -> list[_Pair]:
+def _pairs(tests: Sequence[GateSweep], comparing: Comparing, notes: list[str]) -> list[_SettingPair]:
     """Return the settings that both sides have; what one of them lacks is noted.
 
     Raises:
@@ -91,7 +91,7 @@ def _pairs(tests: Sequence[GateSweep], comparing: Comparing, notes: list[str]) -
                 f"{comparing.path}: of one trajectory of a dataset that it doesn't name: it stands for one "
                 f"setting; the sweep has {len(rows)}"
             )
-        return [_Pair(*rows[0], cells[0])]
+        return [_SettingPair(*rows[0], cells[0])]
     with_name = len(tests) > 1 or len({cell.sweep for cell in cells}) > 1
 
     def key(sweep: str | None, settings: Any, dataset: str | None) -> str:
@@ -104,7 +104,7 @@ def _pairs(tests: Sequence[GateSweep], comparing: Comparing, notes: list[str]) -
         if cell is None:
             new.append(test.words(row))
         else:
-            pairs.append(_Pair(test, row, cell))
+            pairs.append(_SettingPair(test, row, cell))
     if not pairs:
         raise InputError(
             f"{comparing.path}: none of its settings is one of the sweep: recorded are "
@@ -179,7 +179,7 @@ class _Course:
     """A comparison under way: pairs of settings, the gate, and what was done so far."""
 
     def __init__(
-        self, pairs: Sequence[_Pair], bench: Workbench, wish: GateWish, comparing: Comparing
+        self, pairs: Sequence[_SettingPair], bench: Workbench, wish: GateWish, comparing: Comparing
     ) -> None:
         self._pairs, self._bench, self._wish, self._comparing = pairs, bench, wish, comparing
         self._tests = list({id(pair.test): pair.test for pair in pairs}.values())
@@ -191,7 +191,7 @@ class _Course:
         self.gate = Gate(self._figures())
         self.fault = False
 
-    def _name(self, pair: _Pair) -> str:
+    def _name(self, pair: _SettingPair) -> str:
         words = pair.test.words(pair.row)
         return f"{pair.test.named}: {words}" if len(self._tests) > 1 else words
 
@@ -225,7 +225,7 @@ class _Course:
         return f"{plural(self._most, 'repetition')} of each setting at most"
 
     def wanted(self) -> dict[int, int]:
-        """Return how many more runs of which pairs are to be done."""
+        """Return the number of runs of each pair that are to be done next."""
         done = [pair.test.asked.get(pair.row, 0) for pair in self._pairs]
         if self.gate.is_sure:
             return {}
@@ -293,7 +293,7 @@ class _Course:
         self.gate.figures = [one for one in self.gate.figures if one not in figures]
 
     def notes(self) -> list[str]:
-        """Return what else is to be said."""
+        """Return further sentences for the report."""
         found = [*self._left_out, *self.faults]
         reused = sum(one.reused for one in self._rows)
         if reused:

@@ -199,7 +199,7 @@ class GateRows:
 
 
 def collect(test: GateSweep, bench: Workbench, columns: Iterable[str]) -> GateRows:
-    """Return what the runs came to that were asked for and are finished."""
+    """Return the finished ones of the runs that were asked for, row by row."""
     frame = read_archive(bench.home.archive_url, bench.home.path / "cache")
     frame = frame.select(where_equal(frame, "sweep.uid", test.uid))
     uids = Job(test.sweep, test.uid, test.points)
@@ -281,7 +281,7 @@ def recorded_columns(wish: GateWish) -> list[str]:
 
 
 def few_repetitions(cells: Sequence[BaselineCell]) -> list[str]:
-    """Return what can't be told as settings of a baseline have one repetition alone; nothing otherwise."""
+    """Return the sentences on settings of a baseline that have one repetition alone."""
     alone = sum(len(cell.tracked) == 1 for cell in cells)
     if not alone:
         return []

@@ -81,7 +81,7 @@ class BaselineCell(Model):
 
 
 class Baseline(Model):
-    """What a gate recorded.
+    """Record of a gate, to compare with.
 
     Attributes:
         processor: model of the processor that all runs had, None where they had several or none is known.

@@ -11,7 +11,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from slamhive.analysis.gating.deciding import Answer
+from slamhive.analysis.gating.deciding import GateAnswer
 from slamhive.analysis.gating.figures import FAILURES, MarginScale
 from slamhive.analysis.metrics import Metric
 from slamhive.contract.lines import printable
@@ -24,14 +24,19 @@ if TYPE_CHECKING:
     from slamhive.analysis.gating.figures import GateFigure
 
 HEADINGS = ("figure", "answer", "change", "surely within", "margin", "runs before", "runs now", "remark")
-_MARKS = {Answer.BETTER: "🟢", Answer.NO_WORSE: "🟢", Answer.WORSE: "🔴", Answer.UNKNOWN: "🟡"}
+_MARKS = {
+    GateAnswer.BETTER: "🟢",
+    GateAnswer.NO_WORSE: "🟢",
+    GateAnswer.WORSE: "🔴",
+    GateAnswer.UNKNOWN: "🟡",
+}
 _MOST_SETTINGS = 50
 _MOST_NAMED = 3
 
 
 @dataclass(frozen=True)
 class GateReport:
-    """What a gate came to.
+    """Answers of a gate, with its runs.
 
     Attributes:
         title: names of the sweeps.
@@ -46,7 +51,7 @@ class GateReport:
 
     title: str
     baseline: str
-    answer: Answer
+    answer: GateAnswer
     findings: Sequence[GateFinding]
     cells: Sequence[GateCell]
     seconds: float
@@ -59,7 +64,9 @@ class GateReport:
         named = [one.figure.title for one in self.findings if one.answer is self.answer]
         runs = sum(cell.now.count for cell in self.cells)
         count = f"{runs} run{'' if runs == 1 else 's'}"
-        what = f": {', '.join(named)}" if self.answer in {Answer.WORSE, Answer.UNKNOWN} and named else ""
+        what = (
+            f": {', '.join(named)}" if self.answer in {GateAnswer.WORSE, GateAnswer.UNKNOWN} and named else ""
+        )
         return f"{self.title}: {self.answer}{what} ({count} against {self.baseline}; {self.why})"
 
     def rows(self) -> list[list[str]]:
@@ -69,7 +76,7 @@ class GateReport:
     def _row(self, one: GateFinding) -> list[str]:
         figure = one.figure
         remarks = [one.why] if one.why else []
-        if one.cells and one.answer in {Answer.WORSE, Answer.UNKNOWN}:
+        if one.cells and one.answer in {GateAnswer.WORSE, GateAnswer.UNKNOWN}:
             names = [self.cells[number].name for number in one.cells[:_MOST_NAMED]]
             names += ["…"] if len(one.cells) > _MOST_NAMED else []
             remarks.append(f"stands out: {'; '.join(names)}")
@@ -176,17 +183,17 @@ def junit(report: GateReport) -> str:
         "testsuite",
         name=printable(f"slamhive gate {report.title}"),
         tests=str(len(answers)),
-        failures=str(answers.count(Answer.WORSE)),
+        failures=str(answers.count(GateAnswer.WORSE)),
         errors="0",
-        skipped=str(answers.count(Answer.UNKNOWN)),
+        skipped=str(answers.count(GateAnswer.UNKNOWN)),
         time=f"{report.seconds:.1f}",
     )
     for one, row in zip(report.findings, report.rows(), strict=True):
         case = ET.SubElement(suite, "testcase", classname="slamhive.gate", name=one.figure.name)
         text = "; ".join(f"{head}: {value}" for head, value in zip(HEADINGS, row, strict=True) if value)
-        if one.answer is Answer.WORSE:
+        if one.answer is GateAnswer.WORSE:
             ET.SubElement(case, "failure", message=printable(text))
-        elif one.answer is Answer.UNKNOWN:
+        elif one.answer is GateAnswer.UNKNOWN:
             ET.SubElement(case, "skipped", message=printable(text))
         else:
             ET.SubElement(case, "system-out").text = printable(text)
