@@ -77,8 +77,9 @@ def _stars(asked: Mapping[str, Any], learnt: Sequence[Mapping[str, Any]]) -> lis
             reach = axis["high"] - axis["low"] if is_choice else _REACH
             for step in range(max(axis["low"], own - reach), min(axis["high"], own + reach) + 1):
                 distance = min(abs(step - own), 1) if is_choice else abs(step - own)
-                near.append((distance, rng.random(), [*best[:place], step, *best[place + 1 :]]))
-        found += [setting for *_, setting in sorted(near)]
+                if distance:
+                    near.append((distance, rng.random(), [*best[:place], step, *best[place + 1 :]]))
+        found += [best, *(setting for *_, setting in sorted(near))]
     return found
 
 
