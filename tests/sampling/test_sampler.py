@@ -14,6 +14,7 @@ import pytest
 from slamhive.engine import RunSeen
 from slamhive.model.errors import InputError, SystemFault
 from slamhive.sampling import Sampler
+from slamhive.sampling.suggesting import suggest
 from slamhive.sampling.telling import TrialsTold
 
 SAMPLED = ["Random", "Sobol", "TPE", "NSGA-II"]
@@ -116,3 +117,17 @@ def test_runs_of_which_nothing_is_known_are_not_told(played: Any, sampler: Sampl
     assert len(told.keys(search.plan.trials)) == 3
     before = json.loads(told.told(search.decide().standings, 2))
     assert [one["state"] for one in before] == ["unknown", "known", "running"]
+
+
+def test_a_grid_is_improved_on_one_axis_at_a_time_from_the_best_settings() -> None:
+    axis = {"kind": "integer", "low": 0, "high": 4, "log": False}
+    known = {"state": "known", "failed": 0.0, "told": 0}
+    trials = [
+        known | {"values": [step, step], "figures": [0.1 * step], "lacking": float(step == 0)}
+        for step in range(5)
+    ]
+    asked = {"method": "TPE", "seed": 1, "number": 5, "objectives": 1, "conditional": False, "begin": 0}
+    found = suggest(asked | {"tries": 1, "axes": [axis, axis], "trials": trials})
+    assert found[0] == [1, 1]  # which has all its runs, while the one with the least error was dropped
+    assert sorted(found[1:5]) == [[0, 1], [1, 0], [1, 2], [2, 1]]
+    assert all(1 in setting for setting in found[:9])

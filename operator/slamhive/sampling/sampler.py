@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import json
 import math
 import os
@@ -125,14 +126,13 @@ class Sampler:
         asked, before = self._told.question(search), self._told.told(standings, told)
         learns = search.method in {SearchMethod.TPE, SearchMethod.NSGA_II}
         for begin, tries in _TRIES:
-            for found in self._answer(asked | {"begin": begin, "tries": tries}, before, search.method):
-                # What a method that learns proposes again is where it is best: then the nearest one is tried.
-                for numbers in _around(asked, found) if learns else [found]:
-                    values = [
-                        value_meant(axis, value) for axis, value in zip(space.axes, numbers, strict=True)
-                    ]
-                    if space.key(values) not in tried:
-                        return Trial(values=space.canonical(values), told=told)
+            found = self._answer(asked | {"begin": begin, "tries": tries}, before, search.method)
+            # What a method that learns proposes again is where it is best: then the nearest one is tried.
+            near = itertools.chain.from_iterable(_around(asked, one) for one in found) if learns else ()
+            for numbers in itertools.chain(found, near):
+                values = [value_meant(axis, value) for axis, value in zip(space.axes, numbers, strict=True)]
+                if space.key(values) not in tried:
+                    return Trial(values=space.canonical(values), told=told)
         untried = _untried(space, tried, [search.seed, len(trials)])
         return None if untried is None else Trial(values=space.canonical(untried), told=told)
 

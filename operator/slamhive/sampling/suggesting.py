@@ -21,6 +21,8 @@ STARTUP = 5
 """Results before which the methods that learn have nothing to learn from; until then, Sobol's points."""
 POPULATION = 20
 """Settings of a generation of NSGA-II."""
+_BEST, _REACH = 3, 8
+"""Settings that are improved on one axis at a time, and steps to either side of each."""
 _APART = 5_000
 """Distance in Sobol's sequence of further tries for a trial, more than a search has trials."""
 _GENERATION = "NSGAIISampler:generation"
@@ -33,7 +35,7 @@ def suggest(asked: Mapping[str, Any]) -> list[list[float]]:
         case "Random":
             return [_placed(asked, _random(asked, number)) for number in _tries(asked)]
         case "TPE" if len(learnt) >= STARTUP and _looks_around(asked):
-            return [_best(asked, learnt)]
+            return _stars(asked, learnt)
         case "TPE" | "NSGA-II" if len(learnt) >= STARTUP:
             return _learnt(asked)
         case _:
@@ -45,22 +47,40 @@ def _tries(asked: Mapping[str, Any]) -> range:
 
 
 def _looks_around(asked: Mapping[str, Any]) -> bool:
-    """Tell whether the next setting is one around the best, which was tried and so stands for its neighbours.
+    """Tell whether the next setting is one that differs from one of the best on one axis.
 
-    In every second trial of a grid: an estimate of densities finds the region, but not the best step in it.
+    In seven of eight trials of a grid: an estimate of densities finds the region, but not the best step in
+    it. The eighth is that estimate's, so that nothing is stuck where one axis alone makes nothing better.
     """
     steps_alone = all(axis["kind"] != "real" for axis in asked["axes"])
     one = asked["objectives"] == 1 and not asked["conditional"] and asked["begin"] == 0
-    return steps_alone and one and bool(asked["number"] % 2)
+    return steps_alone and one and bool(asked["number"] % 8)
 
 
-def _best(asked: Mapping[str, Any], learnt: Sequence[Mapping[str, Any]]) -> list[float]:
+def _stars(asked: Mapping[str, Any], learnt: Sequence[Mapping[str, Any]]) -> list[list[float]]:
+    """Return the best settings, each followed by those that differ from it on one axis, the nearest first.
+
+    Steps that are equally near are in an order by seed.
+    """
     worst = _worst(asked)[0]
-    ranked = [
+    ranked = sorted(
         (one["failed"] + one["lacking"], worst if (value := one["figures"][0]) is None else value, number)
         for number, one in enumerate(learnt)
-    ]
-    return list(learnt[min(ranked)[2]]["values"])
+    )
+    rng = np.random.default_rng([asked["seed"], asked["number"]])
+    found: list[list[float]] = []
+    for *_, number in ranked[:_BEST]:
+        best = list(learnt[number]["values"])
+        near: list[tuple[int, float, list[float]]] = []
+        for place, axis in enumerate(asked["axes"]):
+            own, is_choice = int(best[place]), axis["kind"] == "choice"
+            reach = axis["high"] - axis["low"] if is_choice else _REACH
+            for step in range(max(axis["low"], own - reach), min(axis["high"], own + reach) + 1):
+                distance = min(abs(step - own), 1) if is_choice else abs(step - own)
+                if distance:
+                    near.append((distance, rng.random(), [*best[:place], step, *best[place + 1 :]]))
+        found += [best, *(setting for *_, setting in sorted(near))]
+    return found
 
 
 def _random(asked: Mapping[str, Any], number: int) -> Sequence[float]:
