@@ -70,7 +70,7 @@ def import_bundle(
     They are listed beside own runs and never averaged with them. `slamhive verify` says whether their
     figures are right.
 
-    Example: slamhive import study.zip
+    Example: slamhive import bundle study.zip, or slamhive import study.zip
     """
     home = Home.from_environment()
     home.folder(".")
