@@ -42,6 +42,9 @@ MOST_TITLE = 200
 MOST_BYTES = 2_000_000
 """Bytes of an answer, unpacked: a longer one is no page's, and would be most of the site."""
 
+MOST_TABLE = 50_000
+"""The same of an answer whose table is kept beside it: of longer ones a browser lays the answer out flat."""
+
 TOO_MUCH = 501
 _TOO_MUCH = (
     "This site leaves out what has too many groups: choose columns to group by here. Where the runs are, "
@@ -215,7 +218,7 @@ class _Building:
             self._answers[key] = None
             return None
         self._files[key] = self._folder.keep_text(content)
-        if found.columns is not None:
+        if found.columns is not None and len(content) <= MOST_TABLE:
             self._tables[key] = self._folder.keep_text(encode_csv(found.columns()))
         self._answers[key] = found.content
         return found.content

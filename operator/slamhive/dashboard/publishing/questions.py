@@ -25,7 +25,7 @@ VERSIONS = "algorithm,sensors,algorithm.version"
 ERROR = "ate.rmse"
 _LOADS = ("usage.cpu.secondsPerDataSecond", "usage.cpu.meanCores")
 MEASURES = (
-    *(ERROR, "rpe[0].rmse", "coverage", "usage.memory.peakBytes"),
+    *(ERROR, "usage.memory.peakBytes", "rpe[0].rmse", "coverage"),
     *("beside.online.ate.rmse", "metrics.latencySeconds.p95"),
 )
 MOST_VIEWS = 60
@@ -34,8 +34,14 @@ MOST_VIEWS = 60
 MANY = 3000
 """Rows up to which every configuration is a group where nobody says by what: of more there are too many."""
 
-MOST_SETTINGS = 10
+MOST_SETTINGS = 6
 MOST_VALUES = 40
+MOST_GROUPED = 3
+"""Figures over groups by each setting: an error and two costs."""
+
+MOST_CROSSED = 3
+"""Settings that are crossed with algorithms and datasets: such groups are many."""
+
 _SETTINGS = frozenset({"parameters", "input", "resources"})
 _NUMBERS = frozenset({"number", "integer"})
 _SUBJECTS = ("algorithm", "sensors", "dataset")
@@ -142,7 +148,8 @@ def of_view(view: View, columns: AskedColumns) -> Iterator[str]:
         yield address(f"{ANALYSIS}/common", *view, ("by", by), ("outcomes", "all"))
     for name in ("importance", "repeatability"):
         yield address(f"{ANALYSIS}/{name}", *view, ("metric", ERROR))
-    for name in ("robustness", "timeline", "suspects"):
+    of_sweep = bool(view) and view[0][0] == "sweep"
+    for name in ("robustness", "suspects", *(["timeline"] if of_sweep or not view else [])):
         yield address(f"{ANALYSIS}/{name}", *view)
     yield address(f"{ANALYSIS}/versions", *view, ("metric", ERROR), tracked)
     if columns.rows <= MANY:
@@ -151,7 +158,7 @@ def of_view(view: View, columns: AskedColumns) -> Iterator[str]:
     for by in ("algorithm", *columns.varied[:1]):
         joined = ",".join(dict.fromkeys([by, "algorithm"]))
         yield address(f"{ANALYSIS}/aggregate", *view, ("by", joined), ("metrics", ERROR), tracked)
-    if view and view[0][0] == "sweep":
+    if of_sweep:
         for setting, metric in product(columns.varied[:4], columns.measures[:4]):
             by = f"{setting},dataset" if apart else setting
             yield address(f"{ANALYSIS}/aggregate", *view, ("by", by), ("metrics", metric), tracked)
@@ -163,7 +170,8 @@ def of_all(columns: AskedColumns) -> Iterator[str]:
         yield from _of_metric(columns, metric, ("outcomes", "tracked"))
         yield address(f"{ANALYSIS}/importance", ("metric", metric))
         yield address(f"{ANALYSIS}/repeatability", ("metric", metric))
-        for by in _groups(columns):
+    for metric in columns.measures[:MOST_GROUPED]:
+        for by in _groups(columns, metric):
             asked_by = ("by", ",".join(by))
             yield address(f"{ANALYSIS}/aggregate", asked_by, ("metrics", metric), ("outcomes", "tracked"))
     yield from _of_metric(columns, ERROR, ("outcomes", "all"))
@@ -218,7 +226,7 @@ def _quoted(name: str) -> str:
     return name if re.fullmatch(r"[A-Za-z_][A-Za-z0-9_.]*", name) else f"`{name}`"
 
 
-def _groups(columns: AskedColumns) -> Iterator[tuple[str, ...]]:
+def _groups(columns: AskedColumns, metric: str) -> Iterator[tuple[str, ...]]:
     """Go through the columns that lines, boxes, heat maps and small multiples tell groups apart by."""
     subjects = [name for name in _SUBJECTS if columns.varies(name)] or ["algorithm"]
     for name in dict.fromkeys([*subjects, "algorithm"]):
@@ -228,7 +236,7 @@ def _groups(columns: AskedColumns) -> Iterator[tuple[str, ...]]:
                 yield (name, other)
     for setting in columns.settings:
         yield (setting,)
-        for name in subjects:
+        for name in ("algorithm", "dataset"):
             yield (setting, name)
-        if {"algorithm", "dataset"} <= set(subjects):
-            yield (setting, "algorithm", "dataset")
+    for setting in columns.settings[:MOST_CROSSED] if metric == ERROR else ():
+        yield (setting, "algorithm", "dataset")

@@ -165,22 +165,48 @@ async function csvOf(path, query) {
     return toCsv(all.columns, all.items);
   }
   const found = await answer(`${path}?${query}`);
+  const lists = Object.values(found).filter(
+    (value) => Array.isArray(value) && value[0] && typeof value[0] === 'object',
+  );
   const columns = path.endsWith('/points')
     ? Object.fromEntries(Object.values(found.axes).map((axis) => [axis.name, axis.values ?? texts(axis)]))
     : path.endsWith('/trajectory')
       ? found.estimate
-      : Object.fromEntries(Object.entries(found).filter(([, value]) => Array.isArray(value) && value.length));
-  const names = Object.keys(columns);
+      : Object.fromEntries(
+          Object.entries(found).filter(
+            ([, value]) => Array.isArray(value) && value.length === found.t?.length,
+          ),
+        );
+  const longest = lists.sort((a, b) => b.length - a.length)[0];
   const rows =
-    (columns[names[0] ?? '']?.length ?? 0) &&
-    columns[names[0] ?? ''].map((/** @type {unknown} */ _, /** @type {number} */ row) =>
-      Object.fromEntries(names.map((one) => [one, columns[one][row]])),
-    );
+    longest && !path.endsWith('/points')
+      ? longest.map((/** @type {object} */ row) => flat(row))
+      : Array.from({ length: Object.values(columns)[0]?.length ?? 0 }, (_, row) =>
+          Object.fromEntries(Object.entries(columns).map(([name, values]) => [name, values[row]])),
+        );
+  const names = [...new Set(rows.flatMap((/** @type {object} */ row) => Object.keys(row)))];
   return toCsv(
-    names.map((one) => ({ name: one })),
-    rows || [],
+    names.map((name) => ({ name })),
+    rows,
   );
 }
+
+/**
+ * Lay an item out as one row; lists in it are no table's.
+ * @param {object} item
+ * @param {string} [prefix]
+ * @returns {Record<string, any>}
+ */
+const flat = (item, prefix = '') =>
+  Object.fromEntries(
+    Object.entries(item).flatMap(([name, value]) =>
+      Array.isArray(value)
+        ? []
+        : value !== null && typeof value === 'object'
+          ? Object.entries(flat(value, `${prefix}${name}.`))
+          : [[`${prefix}${name}`, value]],
+    ),
+  );
 
 /** @param {Api.Axis} axis */
 const texts = ({ codes = [], categories = [] }) => codes.map((code) => categories[code] ?? null);
