@@ -179,7 +179,7 @@ function App() {
               ${
                 SITE
                   ? 'A file of this site could not be read.'
-                  : 'The dashboard does not answer; what is shown is its last state. It is asked again by itself.'
+                  : 'The dashboard does not answer; its last state is shown. It is asked again by itself.'
               }
             </p>
           `

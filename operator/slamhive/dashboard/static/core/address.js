@@ -39,7 +39,7 @@ const OWN = new Set([
 ]);
 
 /**
- * True on a site without a server: its pages are behind the # of its one address, answers are files beside it.
+ * True on a site without a server: its pages are behind the # of its one address, answers are files.
  */
 export const SITE = Boolean(globalThis.document?.querySelector('meta[name="slamhive-site"]'));
 

@@ -26,7 +26,8 @@ export function RunRows({ filters, extra, selected = false, title = 'Runs', sort
       <h2>
         ${selected ? 'Selected runs' : title}${' '}
         ${state.data && html`<span class="quiet">${number(state.data.total)}</span>`}
-        <${Download} class="small" href=${csvOf(address('/api/v1/runs', filters.with({ columns: columns.join(',') })))}>
+        <${Download} class="small"
+          href=${csvOf(address('/api/v1/runs', filters.with({ columns: columns.join(',') })))}>
           CSV
         </${Download}>
         <${Link} class="small" href=${address('/runs', filters.with({ sort }))}>
@@ -104,7 +105,10 @@ export const dressed = (headings) =>
           ...one,
           show: (value, row) => html`
             ${row.uid ? runLink(row.uid, value ?? row.uid) : value}
-            ${row[SEARCHED] && html`${' '}<abbr title=${`chosen by a search (${clip(row[SEARCHED], 40)})`}>¶</abbr>`}
+            ${
+              row[SEARCHED] &&
+              html`${' '}<abbr title=${`chosen by a search (${clip(row[SEARCHED], 40)})`}>¶</abbr>`
+            }
           `,
         };
       if (one.name === 'status' || one.name === 'outcome' || one.name === 'phase')

@@ -175,7 +175,8 @@ function One({ uid }) {
       html`
         <details>
           <summary>YAML to run it again</summary>
-          <p class="quiet">Saved as <code>run.yaml</code>, this repeats it: <code>slamhive run run.yaml</code></p>
+          <p class="quiet">Saved as <code>run.yaml</code>, this repeats it:${' '}
+            <code>slamhive run run.yaml</code></p>
           <pre class="text" tabindex="0">
             ${run.manifest}
           </pre>
