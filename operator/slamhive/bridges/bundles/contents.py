@@ -38,7 +38,7 @@ from slamhive_eval.formats.healthfiles import COVARIANCES, HEALTH
 if TYPE_CHECKING:
     from slamhive_eval import ControlPoints, Trajectory
 
-FORM: Literal["slamhive-study/1"] = "slamhive-study/1"
+FORM = "slamhive-study/1"
 STUDY, METADATA, README = "study.json", "ro-crate-metadata.json", "README.md"
 RUN = "run.json"
 SWEEP = "manifests/sweep.yaml"
@@ -113,7 +113,7 @@ class BundledStudy(Model):
         files: checksums of all other files.
     """
 
-    form: Literal["slamhive-study/1"] = FORM
+    form: Literal["slamhive-study/1"] = "slamhive-study/1"
     name: str
     title: str
     slamhive: str

@@ -123,6 +123,10 @@ class _AskedService(Service):
         self._totals = SweepTotals(self.workers)
         self.made: Body | None = None
 
+    def forget(self) -> None:
+        """Forget the last answer, so that a refusal isn't taken for it."""
+        self.made = None
+
     async def answer_with(
         self,
         request: Request,  # noqa: ARG002
@@ -179,10 +183,11 @@ class QuestionAsker:
             status = message.get("status", status)
             parts.append(message.get("body", b""))
 
-        self._service.made = None
+        self._service.forget()
         await self._app(scope, receive, send)
-        if self._service.made is not None and status == 200:
-            return self._service.made
+        made = self._service.made
+        if made is not None and status == 200:
+            return made
         return RefusedQuestion(status, json.loads(b"".join(parts) or b"{}"))
 
 

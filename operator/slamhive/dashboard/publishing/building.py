@@ -21,7 +21,13 @@ from slamhive.analysis.selection import first_rows
 from slamhive.dashboard.answering.encoding import encode_csv, encode_json
 from slamhive.dashboard.answers.catalog import sweep_names
 from slamhive.dashboard.publishing import questions, table
-from slamhive.dashboard.publishing.asking import PublishedRuns, QuestionAsker, RefusedQuestion, canonical
+from slamhive.dashboard.publishing.asking import (
+    PublishedRuns,
+    QuestionAsker,
+    RefusedQuestion,
+    address,
+    canonical,
+)
 from slamhive.dashboard.publishing.feed import badge, feed, places
 from slamhive.dashboard.publishing.folder import FORMAT, KIND, MARK, SiteFolder
 from slamhive.dashboard.publishing.runpages import RunPages
@@ -179,7 +185,8 @@ class _Building:
         ranks = list(self._ranks(frame))
         self._lead_to(self._folder.keep(index), ranks, frame)
         count, size = self._folder.size()
-        return BuiltSite(len(runs), len(self._files), *self._folder.written, count, size, ranks)
+        added, added_bytes = self._folder.written
+        return BuiltSite(len(runs), len(self._files), added, added_bytes, count, size, ranks)
 
     async def _ask_all(self) -> None:
         columns = questions.AskedColumns(await self._ask(f"{questions.API}/columns"))
@@ -194,7 +201,7 @@ class _Building:
         for view in questions.views(columns, list(dict.fromkeys(named["sweeps"]))):
             asked = columns
             if view:
-                question = questions.address(f"{questions.API}/columns", *view)
+                question = address(f"{questions.API}/columns", *view)
                 asked = questions.AskedColumns(await self._ask(question))
             for question in questions.of_view(view, asked):
                 await self._ask(question)
@@ -233,7 +240,7 @@ class _Building:
             dates[told] = np.fmax(dates.get(told, np.nan), at)
         days = {key: _moment(at)[:10] for key, at in dates.items() if at == at}  # noqa: PLR0124
         asked = ("metric", questions.ERROR), ("by", questions.COMPETITORS[0]), ("outcomes", "tracked")
-        found = self._answers.get(canonical(questions.address(f"{questions.ANALYSIS}/leaderboard", *asked)))
+        found = self._answers.get(canonical(address(f"{questions.ANALYSIS}/leaderboard", *asked)))
         seen: set[str] = set()
         for board in sorted((found or {}).get("boards") or [], key=lambda one: -len(one["entries"])):
             for place in places(board, days):

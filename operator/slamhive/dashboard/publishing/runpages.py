@@ -110,7 +110,8 @@ class RunPages:
         seen = one_run.found(self._source, uid)
         page = {"": one_run.detail(self._snapshot, seen, self._alike).content}
         if seen.place is not None:
-            names = [result.evaluation for result in seen.record.results] or [None]
+            names: list[str | None] = [result.evaluation for result in seen.record.results]
+            names = names or [None]
             paths = {name or "": self._asked(self._path(seen, name)) for name in names}
             page["trajectory"] = paths
             page["usage"] = self._asked(lambda: one_run.usage(self._snapshot, seen, self._points))
