@@ -146,8 +146,9 @@ class _BundleMaking:
         self._algorithms: dict[str, StudyAlgorithm] = {}
         self._datasets: dict[str, StudyDataset] = {}
         self._truths: dict[str, str | None] = {}
-        self._catalog: dict[str, dict[str, CatalogEntry]] = {
-            kind: {entry.content_hash: entry for entry in bench.archive.catalog(kind)}
+        # Somebody else's of the same content has another name.
+        self._catalog: dict[str, dict[tuple[str, str], CatalogEntry]] = {
+            kind: {(entry.name, entry.content_hash): entry for entry in bench.archive.catalog(kind)}
             for kind in ("Algorithm", "Dataset")
         }
         own = EvaluationSettings.model_validate(sweep.evaluation or {})
@@ -268,7 +269,7 @@ class _BundleMaking:
         names = record.spec["algorithmRef"]["name"], record.spec["datasetRef"]["name"]
         found = []
         for kind, name, hashed in zip(("Algorithm", "Dataset"), names, hashes, strict=True):
-            entry = self._catalog[kind].get(hashed or "")
+            entry = self._catalog[kind].get((name, hashed or ""))
             if entry is None:
                 raise InputError(f"run {record.name}: the archive has no {kind} {name!r} as the run used it")
             path = f"manifests/{kind.lower()}s/{name}-{entry.content_hash[:_DIGITS]}.yaml"

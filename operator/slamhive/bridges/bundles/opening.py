@@ -23,7 +23,7 @@ from slamhive.contract.lines import printable
 from slamhive.data.files.unpacking import unpack
 from slamhive.data.recordings.entries import file_sha256
 from slamhive.model.base import explain
-from slamhive.model.errors import DataError
+from slamhive.model.errors import DataError, InputError
 from slamhive.model.loading import load_file
 
 if TYPE_CHECKING:
@@ -102,7 +102,14 @@ def _opened(title: str, folder: Path) -> OpenedBundle:
             runs[parts[1]] = _run(title, folder, study, name)
     if not runs:
         raise DataError(f"{title}: has no runs")
-    return OpenedBundle(title, folder, study, hashlib.sha256(content).hexdigest(), runs)
+    found = OpenedBundle(title, folder, study, hashlib.sha256(content).hexdigest(), runs)
+    manifests = [one.manifest for one in study.algorithms] + [one.manifest for one in study.datasets]
+    for name in manifests:
+        try:
+            found.manifest(name)
+        except InputError as error:
+            raise DataError(f"{title}: {str(error).replace(f'{folder}/', '')}") from None
+    return found
 
 
 def _require_sums(title: str, folder: Path, study: BundledStudy) -> None:

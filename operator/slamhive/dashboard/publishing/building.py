@@ -35,7 +35,7 @@ from slamhive.dashboard.server.security import CONTENT_POLICY
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from importlib.resources.abc import Traversable
     from pathlib import Path
 
@@ -179,11 +179,12 @@ class _Building:
             "answers": self._files,
             "csv": self._tables,
             "refused": self._refused,
+            "measures": self._measures,
             "table": columns,
             "runs": self._folder.keep(directory),
         }
         ranks = list(self._ranks(frame))
-        self._lead_to(self._folder.keep(index), ranks, frame)
+        self._lead_to(self._folder.keep(index), ranks)
         count, size = self._folder.size()
         added, added_bytes = self._folder.written
         return BuiltSite(len(runs), len(self._files), added, added_bytes, count, size, ranks)
@@ -207,7 +208,7 @@ class _Building:
                 await self._ask(question)
         for question in questions.of_all(columns):
             await self._ask(question)
-        self._conditions = questions.conditions(columns)
+        self._conditions, self._measures = questions.conditions(columns), columns.measures
 
     async def _ask(self, question: str) -> Any:
         """Ask, keep the answer and its table, and return it; a refusal is kept as one."""
@@ -248,13 +249,11 @@ class _Building:
                     seen.add(place.file)
                     yield place
 
-    def _lead_to(self, index: str, ranks: Iterable[Place], frame: Frame) -> None:
+    def _lead_to(self, index: str, ranks: Sequence[Place]) -> None:
         """Write what leads to the answers: the feed and the badges, then the pages, the mark last."""
-        ranks = list(ranks)
-        ended = frame.column("finished").floats()
-        updated = _moment(float(np.nanmax(ended))) if np.isfinite(ended).any() else _moment(0.0)
         sweeps = (self._answers.get(f"{questions.API}/sweeps") or {}).get("items") or []
-        atom = feed(self._wish.title, self._wish.base, updated, sweeps, ranks)
+        now, before = datetime.now(UTC).isoformat(timespec="seconds"), self._folder.bytes_of("feed.xml")
+        atom, updated = feed(self._wish.title, self._wish.base, sweeps, ranks, now=now, before=before)
         self._folder.replace("feed.xml", atom)
         for place in ranks:
             self._folder.replace(place.file, badge(place))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 import uuid
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 from xml.sax.saxutils import escape, quoteattr
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 MOST_ENTRIES = 100
 _SPACE = uuid.UUID("5d0f3c39-2a7c-5c3b-9a44-5f6f2a1d9a10")
 _CHARACTER = 6.6
+_DATED = re.compile(r"<entry><title>(.*?)</title><id>(.*?)</id><updated>(.*?)</updated>", re.DOTALL)
 _UNFIT = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -129,11 +130,14 @@ class _FeedEntry:
     place: str
     text: str
 
+    def name(self, space: str) -> str:
+        """Return its identity on a site."""
+        return f"urn:uuid:{uuid.uuid5(_SPACE, f'{space} {self.known}')}"
+
     def written(self, base: str, site: str) -> str:
         """Return it as XML."""
-        name = uuid.uuid5(_SPACE, f"{base or site} {self.known}")
         return (
-            f"<entry><title>{escape(_fit(self.title))}</title><id>urn:uuid:{name}</id>"
+            f"<entry><title>{escape(_fit(self.title))}</title><id>{self.name(base or site)}</id>"
             f"<updated>{escape(self.when)}</updated>"
             f"<link href={quoteattr(f'{base}index.html{self.place}')}/>"
             f"<summary>{escape(_fit(self.text))}</summary></entry>"
@@ -141,22 +145,30 @@ class _FeedEntry:
 
 
 def feed(
-    title: str, base: str, updated: str, sweeps: Sequence[Mapping[str, Any]], ranks: Sequence[Place]
-) -> bytes:
-    """Return an Atom feed (RFC 4287) of the sweeps, the latest first, and the ranks as they are.
+    title: str,
+    base: str,
+    sweeps: Sequence[Mapping[str, Any]],
+    ranks: Sequence[Place],
+    *,
+    now: str,
+    before: bytes,
+) -> tuple[bytes, str]:
+    """Return an Atom feed (RFC 4287) of the sweeps and the ranks, the latest first, and when it changed last.
 
     Args:
         title: of the site.
         base: its address with a slash at its end; empty where it isn't known: links are relative then.
-        updated: when its last run ended (RFC 3339).
         sweeps: items of /api/v1/sweeps.
         ranks: of competitors.
+        now: when it is made (RFC 3339): the date of what is new and has none of its own.
+        before: the feed that was there: what says the same as in it keeps its date.
     """
+    dates = {(known, told): when for told, known, when in _DATED.findall(before.decode(errors="replace"))}
     entries = [
         _FeedEntry(
             f"sweep {one['name']}",
-            f"Sweep {one['name']}: {one['runs']} runs",
-            one.get("finished") or updated,
+            f"Sweep {one['name']}: {_runs(one['runs'])}",
+            one.get("finished") or "",
             f"#/sweeps/{_quoted(one['name'])}",
             " on ".join(", ".join(map(str, one.get(name) or ())) for name in ("algorithms", "datasets")),
         )
@@ -166,21 +178,29 @@ def feed(
         _FeedEntry(
             f"rank {one.file}",
             f"{one.competitor} on {one.dataset}: {one.said}",
-            f"{one.date}T00:00:00+00:00" if one.date else updated,
+            f"{one.date}T00:00:00+00:00" if one.date else "",
             f"#/leaderboard?dataset={_quoted(one.dataset)}",
-            f"{one.runs} runs",
+            _runs(one.runs),
         )
         for one in ranks
     ]
+    kept = [dates.get((one.name(base or title), escape(_fit(one.title)))) for one in entries]
+    entries = [replace(one, when=when or one.when or now) for one, when in zip(entries, kept, strict=True)]
     entries.sort(key=lambda one: one.when, reverse=True)
+    updated = entries[0].when if entries else now
     whole = "".join(one.written(base, title) for one in entries[:MOST_ENTRIES])
-    return (
+    atom = (
         '<?xml version="1.0" encoding="utf-8"?>\n<feed xmlns="http://www.w3.org/2005/Atom">'
         f"<title>{escape(_fit(title))}</title>"
         f"<id>urn:uuid:{uuid.uuid5(_SPACE, base or title)}</id><updated>{escape(updated)}</updated>"
         f"<author><name>{escape(_fit(title))}</name></author><link href={quoteattr(base or './')}/>"
         f'<link rel="self" href={quoteattr(f"{base}feed.xml")}/>{whole}</feed>\n'
-    ).encode()
+    )
+    return atom.encode(), updated
+
+
+def _runs(count: int) -> str:
+    return f"{count} run{'' if count == 1 else 's'}"
 
 
 def _fit(text: str) -> str:

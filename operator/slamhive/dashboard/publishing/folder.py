@@ -88,12 +88,15 @@ class SiteFolder:
         if not place.exists():
             self._add(place, content)
 
+    def bytes_of(self, name: str) -> bytes:
+        """Return a file that updates change; nothing where it isn't there yet."""
+        place = self.path / name
+        return place.read_bytes() if place.exists() else b""
+
     def replace(self, name: str, content: bytes) -> None:
         """Write a file that updates change, where it differs."""
-        place = self.path / name
-        if place.exists() and place.read_bytes() == content:
-            return
-        self._add(place, content)
+        if self.bytes_of(name) != content:
+            self._add(self.path / name, content)
 
     def _add(self, place: Path, content: bytes) -> None:
         try:

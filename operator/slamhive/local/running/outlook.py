@@ -344,7 +344,7 @@ def sentences(
     found = _stale(outlook, points, asked)
     found += [f"{_runs(len(asked))} done again, as asked"] if asked else []
     found += _new(outlook, points) if tells_new else []
-    equal = outlook.count(RunStanding.EQUAL)
+    equal = len(set(outlook.of(RunStanding.EQUAL)) - asked)
     found += [f"{equal:,} {'takes' if equal == 1 else 'take'} over an equal result"] if equal else []
     kept = [index for index in outlook.finished if index not in asked]
     failed = sum(outlook.standing[index] == RunStanding.FAILED for index in kept)

@@ -274,7 +274,7 @@ class Runner:
             job.states = bytearray(len(job.points))
         job.outlook = looking.look(sweep.name, job.uid, job.points, job.run_uid)
         if wish.rerun:
-            job.again |= set(job.outlook.finished)
+            job.again |= {*job.outlook.finished, *job.outlook.of(RunStanding.EQUAL)}
         for index, standing in enumerate(job.outlook.standing):
             # A finished run of a changed adapter, environment or dataset is another experiment: it is done
             # again, and kept aside when that begins.

@@ -68,11 +68,12 @@ export const isNumeric = (column) => ['number', 'integer', 'time'].includes(colu
 const GIVEN = ['run', 'parameters', 'input', 'resources', 'dataset', 'labels', 'provenance'];
 
 /**
- * True for columns by which runs can be measured: a number of a repetition or a seed is no result.
- * @param {{kind?: string, group: string}} column
+ * True for columns by which runs can be measured: a number of a repetition or a seed is no result, and a site
+ * has figures over groups for some of the others alone.
+ * @param {{kind?: string, group: string, isAsked?: boolean}} column
  */
 export const isMeasure = (column) =>
-  isNumeric(column) && column.kind !== 'time' && !GIVEN.includes(column.group);
+  isNumeric(column) && column.kind !== 'time' && !GIVEN.includes(column.group) && column.isAsked !== false;
 
 /**
  * True for numbers that were chosen for a run, along which it may fail.

@@ -11,7 +11,7 @@ import { pointsOf, runsOf } from './sitetable.js';
 
 /**
  * @typedef {{answers: Record<string, string>, csv: Record<string, string>,
- *   refused: Record<string, {status: number, error: string, field?: string|null}>,
+ *   refused: Record<string, {status: number, error: string, field?: string|null}>, measures: string[],
  *   table: import('./sitetable.js').SiteTable, runs: string}} SiteIndex
  * @typedef {{uids: string[], at: number[], files: string[]}} SiteRuns
  */
@@ -111,6 +111,16 @@ async function ofRun(known, uid, part, query) {
 }
 
 /**
+ * Return columns that say whether figures over groups were computed for them.
+ * @param {Api.Columns} columns
+ * @param {string[]} measures
+ */
+const withAsked = (columns, measures) => ({
+  ...columns,
+  items: columns.items.map((one) => ({ ...one, isAsked: measures.includes(one.name) })),
+});
+
+/**
  * Return the answer at an address of the API.
  * @param {string} url
  * @returns {Promise<any>}
@@ -121,7 +131,7 @@ export async function answer(url) {
   const query = Query.parse(search);
   const key = keyOf(path, query);
   const file = Object.hasOwn(known.answers, key) ? known.answers[key] : undefined;
-  if (file) return fileOf(file);
+  if (file) return path === `${API}/columns` ? withAsked(await fileOf(file), known.measures) : fileOf(file);
   const refused = Object.hasOwn(known.refused, key) ? known.refused[key] : undefined;
   if (refused) throw new ApiError(refused.error, refused.status, refused.field);
   const [, uid, part] = /^\/api\/v1\/runs\/([^/]+)\/?(.*)$/.exec(path) ?? [];
