@@ -47,7 +47,7 @@ BREAKS = (
     ),
     Break(
         "of equal content the earliest stays",
-        selection.once,
+        selection.preference,
         '-frame.column("id").floats()',
         'frame.column("id").floats()',
     ),
