@@ -61,6 +61,21 @@ def test_a_study_bundled_twice_gives_the_same_bytes(
     assert "exists already" in err
 
 
+def test_a_study_stays_its_own_beside_the_same_program_of_somebody_else(
+    studied: Path, study: Path, tmp_path: Path, run_command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = tmp_path / "home"
+    shutil.copytree(studied, home, symlinks=True)
+    monkeypatch.setenv("SLAMHIVE_HOME", str(home))
+    code, _, err = run_command("import", study, "--label", "lab")
+    assert code == 0, err
+    again = tmp_path / "again.zip"
+    words = ("-o", again, "--license", "CC-BY-4.0", "--author", "A. Author")
+    code, _, err = run_command("bundle", "acts", *words)
+    assert code == 0, err
+    assert again.read_bytes() == study.read_bytes()
+
+
 def test_figures_agree_where_nobody_knows_the_system(
     elsewhere: Path, study: Path, run_command: Command
 ) -> None:
