@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 /** A picture of a dataset's recording, once `slamhive dataset show --html` made it. */
 import { above, coverage, envelopes, path, rate } from '../charts/recording.js';
+import { SITE } from '../core/address.js';
 import { useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { clip, number } from '../core/format.js';
 import { Notes, Waiting } from '../core/parts.js';
 import { html } from '../core/ui.js';
 
+const UNPICTURED = 'This site has no picture of the recording.';
 const UNITS = { gyro: 'rad/s', accel: 'm/s²' };
 const IMU = { gyro: 'rates of turn', accel: 'specific force' };
 
@@ -16,7 +18,7 @@ export function Recording({ name }) {
   return html`
     <section>
       <h2>Recording</h2>
-      ${error && html`<p class="quiet">${clip(error.message, 400)}</p>`}
+      ${error && html`<p class="quiet">${SITE ? UNPICTURED : clip(error.message, 400)}</p>`}
       ${!data && !error && html`<${Waiting} />`}
       ${data && html`<${Drawn} data=${data} />`}
     </section>
