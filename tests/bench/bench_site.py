@@ -83,7 +83,7 @@ def first_view(site: Path) -> dict[str, float]:
             ("first view, overview", "/"),
             ("leaderboard", "/leaderboard"),
             ("points of all", "/explore"),
-            ("points brushed by two figures", "/explore?ate.rmse>=0.05&ate.rmse<=0.2&coverage>=0.9"),
+            ("points brushed by two figures", "/explore?ate.rmse%3E=0.05&ate.rmse%3C=0.2&coverage%3E=0.9"),
             ("first page of the table of runs", "/runs"),
         ):
             browser.call("Page.navigate", url="about:blank")
