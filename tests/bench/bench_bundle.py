@@ -42,6 +42,7 @@ from slamhive.model.sensors import SensorMode
 from slamhive_eval import Trajectory, read_tum, write_tum
 from slamhive_eval.batch import Pair, evaluate_pairs
 
+ROOT = Path(__file__).parents[2]
 RUNS, POSES, ROUNDS, TARGET = 200, 3000, 5, 0.8
 SETTINGS = EvaluationSettings()
 SUBJECT = Subject(SensorMode.LIDAR)
@@ -69,9 +70,14 @@ def bundled(folder: Path, truth: Path, paths: list[Path]) -> Path:
     """Write the bundle of runs with these trajectories."""
     root, poses = folder / "bundle", read_tum(truth)
     algorithm, dataset = "manifests/algorithms/icp-0.yaml", "manifests/datasets/hall-0.yaml"
-    for name in (METADATA, algorithm, dataset):
+    written = {
+        METADATA: "{}",
+        algorithm: (ROOT / "images" / "algorithms" / "kiss-icp" / "algorithm.yaml").read_text(),
+        dataset: (ROOT / "examples" / "datasets" / "synthetic-lidar.yaml").read_text(),
+    }
+    for name, text in written.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
-        (root / name).write_text("{}")
+        (root / name).write_text(text)
     for path in paths:
         record = RunRecord(
             uid=path.parent.name,
