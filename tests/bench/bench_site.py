@@ -74,9 +74,9 @@ def first_view(site: Path) -> dict[str, float]:
     with (
         http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server,
         tempfile.TemporaryDirectory() as at,
+        Browser(program, Path(at)) as browser,
     ):
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        browser = Browser(program, Path(at))
         address = f"http://127.0.0.1:{server.server_port}/{site.name}/"
         times = {}
         for what, page in (
@@ -92,7 +92,6 @@ def first_view(site: Path) -> dict[str, float]:
             begun = time.perf_counter()
             browser.open(f"{address}#{page}")
             times[what] = (time.perf_counter() - begun) * 1e3
-        browser.close()
         server.shutdown()
         return times
 
