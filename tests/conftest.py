@@ -36,6 +36,7 @@ from slamhive.model.loading import load_file
 
 sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "tools")]
 from browsers import MISSING, Browser, find_browser
+from furnishing import ACTOR, furnish
 from sharing import Sharing
 from units import STORY, Durations, Units
 
@@ -44,7 +45,6 @@ if TYPE_CHECKING:
 
 TESTS = Path(__file__).parent
 PAPER = TESTS.parents[1] / "shared" / "data" / "icra2023"
-ACTOR = TESTS / "actor"
 NEEDS = {
     "control_plane": ("cluster",),
     "node_cluster": ("cluster", "node"),
@@ -378,14 +378,6 @@ def run_command(
 @pytest.fixture
 def home(tmp_path: Path, environments: Path, tiny: Path) -> Home:
     """A home of its own for each test, with the small dataset and the actor."""
-    folder = tmp_path / "home"
-    actor = folder / "algorithms" / "actor"
-    actor.mkdir(parents=True)
-    (folder / "environments").symlink_to(environments)
-    (folder / "datasets").symlink_to(tiny)
-    for name in ("algorithm.yaml", "adapter.py", "requirements.txt"):
-        shutil.copyfile(ACTOR / name, actor / name)
-    truth = next(tiny.glob("tiny-*/groundtruth.txt")).read_text()
-    (actor / "truth.txt").write_text("".join(line + "\n" for line in truth.splitlines() if line[0] != "#"))
+    folder = furnish(tmp_path / "home", environments, tiny)
     shutil.copyfile(ACTOR / "tiny.yaml", folder / "tiny.yaml")
     return Home.at(folder)

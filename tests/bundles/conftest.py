@@ -5,21 +5,20 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 import zipfile
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from typer.testing import CliRunner
 
+from furnishing import furnish
 from slamhive.cli import running
 from slamhive.cli.sharing import bundles
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
-ACTOR = Path(__file__).parents[1] / "actor"
 SWEEP = """\
 apiVersion: slamhive.io/v1alpha1
 kind: Sweep
@@ -31,26 +30,13 @@ spec:
 """
 
 
-def furnish(folder: Path, environments: Path, tiny: Path) -> Path:
-    """Make a home with the small dataset and the actor."""
-    actor = folder / "algorithms" / "actor"
-    actor.mkdir(parents=True)
-    (folder / "environments").symlink_to(environments)
-    (folder / "datasets").symlink_to(tiny)
-    for name in ("algorithm.yaml", "adapter.py", "requirements.txt"):
-        shutil.copyfile(ACTOR / name, actor / name)
-    truth = next(tiny.glob("tiny-*/groundtruth.txt")).read_text()
-    (actor / "truth.txt").write_text("".join(line + "\n" for line in truth.splitlines() if line[0] != "#"))
-    (folder / "acts.yaml").write_text(SWEEP)
-    return folder
-
-
 @pytest.fixture(scope="session")
 def studied(share: Callable[..., Path], environments: Path, tiny: Path) -> Path:
     """A home in which the study ran; tests share it, and read it alone."""
 
     def fill(folder: Path) -> None:
         home = furnish(folder / "home", environments, tiny)
+        (home / "acts.yaml").write_text(SWEEP)
         variables = {"SLAMHIVE_HOME": str(home), "SLAMHIVE_ARCHIVE": ""}
         # Two of its runs crash, as they are to.
         app = _alone(running.run)

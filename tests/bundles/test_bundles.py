@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from furnishing import furnish
 from slamhive.archive import Archive
 from slamhive.data.files import unpacking
 from slamhive.local.home.folder import Home
-
-from .conftest import furnish
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -15,8 +15,21 @@ from slamhive.local.home.folder import Home
 from slamhive.model.extras import without
 from slamhive.tables.homes import homes_beside
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamhive.dashboard.sources.archived import Source
+    from slamhive.tables.homes import Beside
+
 DEFAULT_PORT = 8323
 _SHOWN_BADGES = 5
+
+TruthFolder = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FOLDER", help="Ground truth to draw under paths: DATASET.txt (TUM) or DATASET.csv (EuRoC)."
+    ),
+]
 
 
 def dashboard(
@@ -33,13 +46,7 @@ def dashboard(
         int | None,
         typer.Option(min=0, max=65535, help="Separate port for /healthz and /readyz; default: none."),
     ] = None,
-    ground_truth: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Ground truth to draw under paths: DATASET.txt (TUM) or DATASET.csv (EuRoC).",
-        ),
-    ] = None,
+    ground_truth: TruthFolder = None,
     also: Also = None,
 ) -> None:
     """Show the archive in a web browser: leaderboard, charts, runs. It changes nothing; Ctrl-C ends it.
@@ -48,8 +55,6 @@ def dashboard(
     """
     try:
         from slamhive.dashboard.server.serving import allowed_hosts, lets_others_in, listen, serve
-        from slamhive.dashboard.sources.archived import Workstation
-        from slamhive.dashboard.sources.homes import Homes
     except ModuleNotFoundError as error:
         raise without("the dashboard", error.name, "dashboard") from None
     home = Home.from_environment()
@@ -67,9 +72,7 @@ def dashboard(
         out.print(f"dashboard at {address} (Ctrl-C ends it)", markup=False)
 
     serve(
-        Homes(home, others, ground_truth)
-        if others
-        else Workstation(home.archive_url, home.path, ground_truth),
+        _source(home, others, ground_truth),
         listening,
         hosts=allowed_hosts(host, allowed_host or ()),
         health=None if health_port is None else listen(host, health_port, "health-port"),
@@ -87,13 +90,7 @@ def site(
     base_url: Annotated[
         str, typer.Option(metavar="URL", help="Address that it will have, for the links of its feed.")
     ] = "",
-    ground_truth: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Ground truth to draw under paths: DATASET.txt (TUM) or DATASET.csv (EuRoC).",
-        ),
-    ] = None,
+    ground_truth: TruthFolder = None,
     also: Also = None,
 ) -> None:
     """Write the dashboard as a site of static files: leaderboard, charts, studies, the page of each run.
@@ -104,19 +101,12 @@ def site(
     """
     try:
         from slamhive.dashboard.publishing.building import SiteWish, build
-        from slamhive.dashboard.sources.archived import Workstation
-        from slamhive.dashboard.sources.homes import Homes
     except ModuleNotFoundError as error:
         raise without("the site", error.name, "dashboard") from None
     wish = SiteWish(sweep or (), title, base_url)
     home = Home.from_environment()
     others = homes_beside(home, also)
-    source = (
-        Homes(home, others, ground_truth)
-        if others
-        else Workstation(home.archive_url, home.path, ground_truth)
-    )
-    built = asyncio.run(build(folder, source, wish))
+    built = asyncio.run(build(folder, _source(home, others, ground_truth), wish))
     out.print(
         f"{folder}: {built.runs:,} runs, {built.answers:,} answers; {built.added:,} files added or changed, "
         f"{built.files:,} files and {built.size / 1e6:.1f} MB in all",
@@ -128,3 +118,13 @@ def site(
     if len(built.badges) > _SHOWN_BADGES:
         out.print(f"  … {len(built.badges):,} badges in badges/", markup=False)
     out.print(f"to look at it: python3 -m http.server -d {folder}", markup=False)
+
+
+def _source(home: Home, others: Sequence[Beside], ground_truth: Path | None) -> Source:
+    """Return the archive of a home as pages read it, with those of others beside it."""
+    from slamhive.dashboard.sources.archived import Workstation
+    from slamhive.dashboard.sources.homes import Homes
+
+    if others:
+        return Homes(home, others, ground_truth)
+    return Workstation(home.archive_url, home.path, ground_truth)

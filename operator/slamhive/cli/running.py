@@ -85,12 +85,20 @@ class ProgressFormat(Choice):
     JSON = "json"
 
 
+Parallelism = Annotated[
+    int | None, typer.Option("-j", "--parallelism", min=1, help="Runs at the same time at most.")
+]
+Rerun = Annotated[bool, typer.Option("--rerun", help="Do finished runs again, reuse nothing.")]
+LogFormat = Annotated[
+    ProgressFormat, typer.Option("--log-format", help="Lines of text, or of JSON on standard output.")
+]
+"""Options of the commands that do runs on this machine."""
+
+
 def run(
     files: Files,
     *,
-    parallelism: Annotated[
-        int | None, typer.Option("-j", "--parallelism", min=1, help="Runs at the same time at most.")
-    ] = None,
+    parallelism: Parallelism = None,
     only: Annotated[
         str | None,
         typer.Option("--only", metavar="EXPR", help='Only runs that meet it: "parameters.maxRange < 50".'),
@@ -103,7 +111,7 @@ def run(
         int | None,
         typer.Option("--first", min=1, metavar="N", help="Do only N runs: one of each setting first."),
     ] = None,
-    rerun: Annotated[bool, typer.Option("--rerun", help="Do finished runs again, reuse nothing.")] = False,
+    rerun: Rerun = False,
     rerun_where: Annotated[
         str | None,
         typer.Option(
@@ -118,9 +126,7 @@ def run(
         typer.Option("--watch", help="Stay, and do what is stale or new whenever a file is saved."),
     ] = False,
     bell: Annotated[bool, typer.Option("--bell", help="Ring the terminal's bell at the end.")] = False,
-    log_format: Annotated[
-        ProgressFormat, typer.Option("--log-format", help="Lines of text, or of JSON on standard output.")
-    ] = ProgressFormat.TEXT,
+    log_format: LogFormat = ProgressFormat.TEXT,
     container: Annotated[
         ContainerChoice | None,
         typer.Option(
@@ -228,9 +234,7 @@ def _watch(files: Sequence[Path], home: Home, how: _How, *, bell: bool) -> int:
 
 def demo(
     *,
-    parallelism: Annotated[
-        int | None, typer.Option("-j", "--parallelism", min=1, help="Runs at the same time at most.")
-    ] = None,
+    parallelism: Parallelism = None,
 ) -> None:
     """Compare real algorithms on a generated recording: a table, what won, at what cost, what next.
 

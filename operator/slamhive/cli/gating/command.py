@@ -45,7 +45,14 @@ from slamhive.cli.parts.console import (
 )
 from slamhive.cli.parts.exits import FAILED, INTERRUPTED, UNKNOWN, WORSE
 from slamhive.cli.plans import Files
-from slamhive.cli.running import ProgressFormat, algorithms_of, tell_of
+from slamhive.cli.running import (
+    LogFormat,
+    Parallelism,
+    ProgressFormat,
+    Rerun,
+    algorithms_of,
+    tell_of,
+)
 from slamhive.local.home.catalog import load_workshop
 from slamhive.local.home.folder import Home
 from slamhive.local.home.sweeping import require_own_name
@@ -98,19 +105,15 @@ def gate(
     budget: Annotated[
         str | None, typer.Option("--budget", metavar="DURATION", help="Start no run after so long: 20m.")
     ] = None,
-    rerun: Annotated[bool, typer.Option("--rerun", help="Do finished runs again, reuse nothing.")] = False,
+    rerun: Rerun = False,
     summary: Annotated[
         Path | None, typer.Option("--summary", metavar="FILE", help="Write it as Markdown.")
     ] = None,
     junit_file: Annotated[
         Path | None, typer.Option("--junit", metavar="FILE", help="Write it as JUnit XML.")
     ] = None,
-    parallelism: Annotated[
-        int | None, typer.Option("-j", "--parallelism", min=1, help="Runs at the same time at most.")
-    ] = None,
-    log_format: Annotated[
-        ProgressFormat, typer.Option("--log-format", help="Lines of text, or of JSON on standard output.")
-    ] = ProgressFormat.TEXT,
+    parallelism: Parallelism = None,
+    log_format: LogFormat = ProgressFormat.TEXT,
     container: Annotated[
         ContainerChoice | None, typer.Option("--container", help="As of slamhive run.")
     ] = None,

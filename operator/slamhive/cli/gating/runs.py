@@ -30,7 +30,7 @@ from slamhive.local.running.runner import Job
 from slamhive.model.base import NAME_LIMIT
 from slamhive.model.canonical import normalize
 from slamhive.model.errors import InputError
-from slamhive.model.results import Phase, Reason
+from slamhive.model.results import Outcome, Phase, Reason
 from slamhive.model.sweep import Sweep
 from slamhive.plan import local_uid
 from slamhive.reporting.gate.baseline import BaselineCell
@@ -242,7 +242,7 @@ def collect(test: GateSweep, bench: Workbench, columns: Iterable[str]) -> GateRo
     cells = {}
     for row, pairs in sorted(found.items()):
         lines = [line for _, line in sorted(pairs)]
-        tracked = [about["status"][line] == "Tracked" for line in lines]
+        tracked = [about["status"][line] == Outcome.TRACKED for line in lines]
         settings, dataset = test.settings(row)
 
         def one(name: str, lines: Sequence[int] = lines) -> str | None:
