@@ -195,6 +195,8 @@ def detail(snapshot: Snapshot, found: FoundRun, alike: RunsAlike | None = None) 
 def _chosen_note(snapshot: Snapshot, record: RunRecord) -> str | None:
     """Return a sentence on a run that a search chose by results; None for others."""
     frame = snapshot.frame
+    if frame.column(SEARCHED).is_empty:
+        return None
     method = frame.select(where_equal(frame, "uid", record.uid)).column(SEARCHED).tolist()[:1]
     told = f"{CHOSEN} a search ({method[0]}) chose this run by the results of others: it is no fair sample"
     return told if any(method) else None

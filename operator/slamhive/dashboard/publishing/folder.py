@@ -125,21 +125,21 @@ def _mark_of(path: Path) -> dict[str, Any]:
         if not path.exists() or (path.is_dir() and not any(path.iterdir())):
             return {}
         if not path.is_dir():
-            raise InputError(f"{path} is no folder", "OUT")
+            raise InputError(f"{path} is no folder")
         mark = path / MARK
         if not mark.is_file():
-            raise InputError(f"{other} (no {MARK} in it)", "OUT")
+            raise InputError(f"{other} (no {MARK} in it)")
         if mark.stat().st_size > _MOST_MARK:
-            raise InputError(f"{other} ({MARK} is too large)", "OUT")
+            raise InputError(f"{other} ({MARK} is too large)")
         found = json.loads(mark.read_bytes())
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror}", "OUT") from None
+        raise InputError(f"{path}: {error.strerror}") from None
     except ValueError:
-        raise InputError(f"{other} ({MARK} is no JSON)", "OUT") from None
+        raise InputError(f"{other} ({MARK} is no JSON)") from None
     if not isinstance(found, dict) or found.get("kind") != KIND:
-        raise InputError(f"{other} ({MARK} is another program's)", "OUT")
+        raise InputError(f"{other} ({MARK} is another program's)")
     if found.get("format") != FORMAT:
         raise InputError(
-            f"{path} is a site in format {found.get('format')!r}, and this slamhive writes {FORMAT}", "OUT"
+            f"{path} is a site in format {found.get('format')!r}, and this slamhive writes {FORMAT}"
         )
     return found
