@@ -130,8 +130,12 @@ class Browser:
 
     def open(self, address: str, *, width: int = 1280, dark: bool = False) -> None:
         """Open an address in a window of a width, and wait until the page has its heading."""
-        self.complaints.clear()
         self.look(width=width, dark=dark)
+        if address.partition("#")[0] != str(self.run("location.href")).partition("#")[0]:
+            # Of a page that is left, whose server may be gone, nothing is heard any more.
+            self.call("Page.navigate", url="about:blank")
+            self.run("0")
+        self.complaints.clear()
         self.call("Page.navigate", url=address)
         self.wait(f"location.href === {json.dumps(address)} && document.readyState === 'complete'")
         ready = "!!document.querySelector('h1') && !document.body.innerText.includes('Loading…')"

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import resource
 import struct
@@ -27,8 +26,8 @@ from rclpy.qos import (  # type: ignore[import-not-found]
 from rosgraph_msgs.msg import Clock  # type: ignore[import-not-found]
 
 from slamhive.playback.player.poses import NANOSECONDS, POSE_TYPES
-from slamhive.playback.player.processes import carriers
 from slamhive.playback.player.ros2.listening import EARS, MESSAGES, Ros2Ears, everything
+from slamhive.playback.player.ros2.strangers import Strangers
 from slamhive.playback.player.ros2.types import forget_errors, is_by_name, message_type
 from slamhive.playback.player.wire import Obstacle
 from slamhive.playback.protocol import PlayError
@@ -56,7 +55,6 @@ _MEANT_SECONDS = 3.0
 _BLOCKED_SECONDS = 5.0
 _WAITING_BYTES = 600 << 20
 """Of messages that a node doesn't take, until playing to it ends."""
-_FAST_DDS = b"\x01\x0f"
 _COMMON = ("/clock", "/parameter_events", "/rosout")
 
 
@@ -87,7 +85,6 @@ class PlayerNode:
         self._matched_at: float | None = None
         self._meant_at: float | None = None
         self._guards: dict[str, _ParameterQuestion] = {}
-        self._known: set[int] = {os.getpid() & 0xFFFF}
         self._slowest = 0.0
         self._context = Context()
         try:
@@ -109,6 +106,8 @@ class PlayerNode:
         self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=10))
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
+        heard = dict.fromkeys(_COMMON, False) | dict.fromkeys((*topics, request.poses.topic), True)
+        self._strangers = Strangers(self._node, request.algorithm, heard, _OWN)
         self._memory = _resident()
 
     def _publisher(self, topic: str, kind: type) -> Any:
@@ -313,7 +312,7 @@ class PlayerNode:
         Raises:
             PlayError: A foreign node is there, or messages pile up.
         """
-        foreign = self._foreign()
+        foreign = self._strangers.found()
         if foreign:
             raise PlayError(
                 f"a node of another program came to the run's ROS 2 domain {self._domain}: "
@@ -325,29 +324,6 @@ class PlayerNode:
             if self._slowest > _BLOCKED_SECONDS:
                 what = f"publishing took {self._slowest:.1f} s"
             raise PlayError(f"the node doesn't take its messages: {what}", "AlgorithmFailed")
-
-    def _foreign(self) -> list[str]:
-        """Return the nodes of processes that aren't the algorithm's, as far as that can be told.
-
-        Fast DDS has the process in the identity of each endpoint. One that no process here has may be of a
-        process that has ended.
-        """
-        strange: dict[str, int] = {}
-        for topic in (*_COMMON, *self._topics, self._request.poses.topic):
-            ends = self._node.get_publishers_info_by_topic(topic)
-            if topic not in _COMMON:
-                ends = [*ends, *self._node.get_subscriptions_info_by_topic(topic)]
-            for one in ends:
-                identity = bytes(one.endpoint_gid)
-                if identity[:2] == _FAST_DDS and one.node_name not in _OWN:
-                    process = int.from_bytes(identity[4:6], "little")
-                    if process not in self._known:
-                        strange[f"{one.node_namespace.rstrip('/')}/{one.node_name}"] = process
-        if strange:  # to look at all processes takes long
-            self._known |= {process.pid & 0xFFFF for process in carriers(self._request.algorithm)}
-        return sorted(
-            name for name, process in strange.items() if process not in self._known and _runs(process)
-        )
 
     def end(self) -> None:
         """Leave the domain."""
@@ -400,14 +376,6 @@ def _is_for(section: str, node: str) -> bool:
     for stars, names in ((r"/\*\*", "(/.*)?"), (r"\*", "[^/]+")):
         pattern = pattern.replace(stars, names)
     return re.fullmatch(pattern, node) is not None
-
-
-def _runs(process: int) -> bool:
-    """Tell whether a process runs whose number ends in these 16 bits."""
-    return any(
-        name.isdigit() and int(name) & 0xFFFF == process
-        for name in os.listdir("/proc")  # noqa: PTH208
-    )
 
 
 def _resident() -> int:
