@@ -109,7 +109,7 @@ class RunReconciler:
         self._catalogue = catalogue
         self._evaluations = evaluations
         self._reusable = reusable
-        self._recorder = RunRecorder(catalogue, evaluations, reusable)
+        self._recorder = RunRecorder(catalogue, evaluations, reusable, has_archive=keeper is not None)
         self._waiting: set[Key] = set()
         self._resolved: dict[Key, _Resolved] = {}
         self._keeper = keeper

@@ -32,6 +32,7 @@ from slamhive.kube.reconciling.evaluation_groups import SWEEP_PREFIX
 from slamhive.kube.reconciling.reuse import ReusableRuns
 from slamhive.kube.reconciling.sweep_losses import (
     announcement,
+    archived_by_others,
     are_missing,
     give_up,
     remark,
@@ -44,6 +45,7 @@ from slamhive.kube.reconciling.sweep_runs import (
     decode_points,
     encode_points,
     free_slot,
+    is_archive_only,
     point_of,
     run_body,
     slots_used,
@@ -237,6 +239,8 @@ class SweepReconciler:
         if known is not None and known.search is not None and known.search.search != sweep.spec.search:
             del self._memory[uid]  # it is to try more
         if uid not in self._memory:
+            if self._keeper is not None:
+                await self._keeper.recall(cluster, _own(cluster, key, uid))
             live = [run for run in _own(cluster, key, uid) if point_of(run) is not None]
             accepted = bool(holds(body["status"], "Accepted"))
             catalog = self._catalogue.all(cluster.store, key.namespace)
@@ -304,6 +308,9 @@ class SweepReconciler:
             there = await cluster.refresh(key)
             if there is None or there["metadata"]["uid"] != uid or there["metadata"].get("deletionTimestamp"):
                 raise Conflict(f"{key} is being deleted", status=409)
+        if missing and await archived_by_others(memory, self._archive, uid, missing):
+            del self._memory[uid]
+            raise Conflict(f"{key}: another operator has archived runs of it", status=409)
         names = await take_out(memory, self._archive, sweep.spec.retention.runs, runs)
         names += [give_up(memory, index) for index in missing]
         take_back(memory, runs)
@@ -420,19 +427,29 @@ class SweepReconciler:
             seen.memory.started_at = now
         used = slots_used([*seen.runs.values(), *_leaving(cluster, seen)])
         limit = asyncio.Semaphore(_AT_ONCE)
+        retained = sum(not is_archive_only(run) for run in seen.runs.values())
+        room = seen.sweep.spec.retention.runs - retained if self._archive is not None else len(indices)
 
-        async def create(index: int, slot: int) -> str | None:
+        async def create(index: int, slot: int, *, archive_only: bool) -> str | None:
             async with limit:
-                return await self._create(cluster, seen, index, slot)
+                return await self._create(cluster, seen, index, slot, archive_only=archive_only)
 
-        told = await asyncio.gather(*(create(index, free_slot(used)) for index in indices))
+        told = await asyncio.gather(
+            *(
+                create(index, free_slot(used), archive_only=number >= room)
+                for number, index in enumerate(indices)
+            )
+        )
         return next((problem for problem in told if problem), None)
 
     @staticmethod
-    async def _create(cluster: Cluster, seen: _SweepPicture, index: int, slot: int) -> str | None:
+    async def _create(
+        cluster: Cluster, seen: _SweepPicture, index: int, slot: int, *, archive_only: bool
+    ) -> str | None:
         plan = seen.memory.plan
         twin = plan.twins.get(index)
-        body = run_body(seen.body, plan.point(index), slot, None if twin is None else plan.point(twin).name)
+        same = None if twin is None else plan.point(twin).name
+        body = run_body(seen.body, plan.point(index), slot, same, archive_only=archive_only)
         try:
             run = await cluster.create(Kind.MAPPING_RUN, body)
         except AlreadyExists:

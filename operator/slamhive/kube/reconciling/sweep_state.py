@@ -18,7 +18,12 @@ from slamhive.engine import PointState
 from slamhive.kube.api.encoding import encode
 from slamhive.kube.api.kinds import annotations_of
 from slamhive.kube.reconciling.archiving import KeptRuns, in_thread
-from slamhive.kube.reconciling.sweep_runs import Finished, SweepTally, decode_points, point_of
+from slamhive.kube.reconciling.sweep_runs import (
+    Finished,
+    SweepTally,
+    decode_points,
+    point_of,
+)
 from slamhive.kube.reconciling.sweep_search import SearchMemory, read_trials, require_room, written_trials
 from slamhive.kube.status import moment
 from slamhive.model.errors import InputError, UnknownNameError
