@@ -58,8 +58,8 @@ async def test_nothing_is_written_of_them_but_their_objects(lab: Lab, archive: A
     assert (status["succeeded"], status["evaluated"], status["cpuSeconds"]) == (6, 6, 48.0)
     assert [len(record.results) for record in archive.runs(sweep="study")] == [1] * 6
     assert (lab.calls.count(("create", RUNS)), lab.calls.count(("delete", RUNS))) == (6, 4)
-    # Two that wait for their variant, and the end and the result of the two that are kept.
-    assert lab.calls.count(("patch", f"{RUNS}/status")) == 2 + 2 * 2
+    # The end and the result of the two that are kept; at first those that wait for the variant say so.
+    assert 2 * 2 <= lab.calls.count(("patch", f"{RUNS}/status")) <= 2 * 2 + 2
     assert ("patch", RUNS) not in lab.calls
 
 
