@@ -10,7 +10,6 @@ import asyncio
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
-from slamhive.archive import CatalogEntry
 from slamhive.archive.remarks import Remarks
 from slamhive.contract.settled import FILES, is_settled
 from slamhive.kube.api.errors import Conflict
@@ -27,7 +26,7 @@ from slamhive.model.evaluation import EvaluationSettings
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from slamhive.archive import Archive
+    from slamhive.archive import Archive, CatalogEntry
     from slamhive.kube.cluster import Cluster
     from slamhive.kube.reconciling.catalogue import Catalogue
     from slamhive.model.results import RunRecord
@@ -202,11 +201,10 @@ class Keeper:
         algorithm = dataset = found = None
         attributes: Object = {}
         try:
-            algorithm = CatalogEntry.of(
-                self._catalogue.algorithm(cluster.store, namespace, spec["algorithmRef"]["name"])
-            )
+            program = self._catalogue.algorithm(cluster.store, namespace, spec["algorithmRef"]["name"])
+            algorithm = self._catalogue.entry(program)
             found = self._catalogue.dataset(cluster.store, namespace, spec["datasetRef"]["name"])
-            dataset = CatalogEntry.of(found)
+            dataset = self._catalogue.entry(found)
             variant = run["status"].get("variant") or ""
             known = variants.described(cluster, Key(Kind.DATASET, namespace, found.name), variant) or {}
             attributes = known.get("attributes") or found.spec.known_attributes
