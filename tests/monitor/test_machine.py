@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is told of a run's machine: read from files as kernels write them, and absent where they don't."""
+"""Facts on a run's machine: read from files as kernels write them, and absent where they don't."""
 
 from pathlib import Path
 from types import SimpleNamespace

@@ -215,7 +215,7 @@ def aggregate(
 
 
 def condition_words(names: Sequence[str]) -> str:
-    """Return how runs differ whose load some columns tell apart: ``of different processors``."""
+    """Return the words for runs whose load some columns tell apart: ``of different processors``."""
     unlike = [name for name in CONDITIONS if name in names]
     if PROCESSOR in unlike:
         return "of different processors"

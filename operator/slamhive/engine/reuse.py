@@ -40,7 +40,7 @@ class LoadConditions(NamedTuple):
 
     @classmethod
     def common(cls, many: Iterable[LoadConditions]) -> LoadConditions | None:
-        """Return what is known of several; None where they contradict each other."""
+        """Return the conditions as far as any of several knows them; None where two contradict."""
         values = [{value for value in column if value is not None} for column in zip(*many, strict=True)]
         if any(len(known) > 1 for known in values):
             return None
@@ -58,7 +58,7 @@ class LoadConditions(NamedTuple):
         return found if found.as_json() else None
 
     def differences(self, other: LoadConditions) -> list[str]:
-        """Return what both know and is not the same, in words, theirs second; none: loads compare."""
+        """Return the differences of what both know, in words, theirs second; none: loads compare."""
         words = ("processor", "SMT", "governor", "turbo", "exclusive cores")
         return [
             f"{word} {_text(mine)} and {_text(theirs)}"

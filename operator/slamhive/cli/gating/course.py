@@ -278,7 +278,7 @@ class _Course:
         self.gate.look(self.cells, last=last)
 
     def _unlike_machines(self) -> str | None:
-        """Return why loads can't be compared; None where nothing says so."""
+        """Return the reason why loads can't be compared; None where nothing says so."""
         conditions = set().union(*(one.conditions for one in self._rows))
         recorded = self._comparing.known
         models = {one.processor for one in conditions if one.processor is not None}

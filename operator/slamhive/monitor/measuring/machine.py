@@ -22,7 +22,7 @@ _MOST_PROCESSORS = 1 << 16
 
 
 class MachineReport(TypedDict, total=False):
-    """What is told of a machine, as summary.json has it; what can't be read is absent."""
+    """Facts on a machine as summary.json has them; those that can't be read are absent."""
 
     cores: int
     smt: bool
@@ -47,7 +47,7 @@ def cpu_model() -> str:
 
 
 def machine_report(*, exclusive: bool | None, folder: str = SYSTEM) -> MachineReport:
-    """Return what the kernel tells of this machine now.
+    """Return the facts that the kernel tells of this machine now.
 
     Args:
         exclusive: whether no other program may use the run's processors; None: not known.
@@ -73,7 +73,7 @@ def governors(folder: str = SYSTEM) -> list[str]:
 
 
 def turbo(folder: str = SYSTEM) -> bool | None:
-    """Return whether processors may be clocked higher than their base; None where the kernel hides it."""
+    """Tell whether processors may be clocked beyond their base; None where the kernel hides it."""
     if (off := _word(f"{folder}/intel_pstate/no_turbo")) in {"0", "1"}:
         return off == "0"
     boost = _word(f"{folder}/cpufreq/boost")
@@ -110,7 +110,7 @@ def process_start(pid: int) -> float:
 
 
 def _words_of_each(folder: str, file: str) -> set[str]:
-    """Return what a file says of each processor that has one."""
+    """Return the words in a file of each processor that has one."""
     try:
         names = os.listdir(folder)  # noqa: PTH208
     except OSError:
