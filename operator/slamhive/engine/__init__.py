@@ -8,7 +8,7 @@ the actions that lead on. The workstation's runner and the operator drive the sa
 """
 
 from slamhive.engine.deciding import NextSteps, decide
-from slamhive.engine.reuse import taken_over
+from slamhive.engine.reuse import LoadConditions, taken_over
 from slamhive.engine.run import (
     AttemptEnd,
     AttemptState,
@@ -52,6 +52,7 @@ __all__ = [
     "Decision",
     "Evaluate",
     "Finish",
+    "LoadConditions",
     "NextSteps",
     "PointState",
     "Prepare",

@@ -148,6 +148,12 @@ class SweepSpec(Model):
         default_factory=Retention, description="Finished runs and folders that are kept."
     )
 
+    @property
+    def runs_alone(self) -> bool:
+        """Tell whether its template says that each run has its node for itself."""
+        resources = self.template.spec.get("resources")
+        return isinstance(resources, dict) and resources.get("exclusiveNodes") is True
+
     @model_validator(mode="after")
     def _fits_search(self) -> Self:
         search = self.search

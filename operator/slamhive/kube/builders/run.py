@@ -18,6 +18,7 @@ from slamhive.kube.api.kinds import Kind, reference
 from slamhive.kube.builders.common import (
     Manifest,
     annotation,
+    away_from_runs,
     claim,
     container,
     downward,
@@ -186,6 +187,8 @@ def run_job(
         "containers": [_algorithm(plan, settings), *companion.containers],
         "volumes": [*_volumes(plan, settings), *_render_volumes(plan), *companion.volumes],
     }
+    if spec["resources"].get("exclusiveNodes"):
+        pod["affinity"] = away_from_runs(settings.pods.affinity)
     # Part by part: those that the runs of a Sweep have in common are written once.
     parts = ({name: value} for name, value in configuration.as_json().items())
     text = "".join(_as_yaml(json.dumps(part)) for part in parts)
