@@ -53,6 +53,7 @@ from slamhive.kube.reconciling.sweep_runs import (
     state_of,
 )
 from slamhive.kube.reconciling.sweep_search import Asker, written_trials
+from slamhive.kube.reconciling.sweep_sharing import SlotSharing, SweepLook
 from slamhive.kube.reconciling.sweep_state import SweepMemory, remember
 from slamhive.kube.status import condition, holds, iso, metres, moment, phase_of, status_patch
 from slamhive.model.base import seconds
@@ -133,6 +134,7 @@ class SweepReconciler:
         self._asker = Asker(sampler or Sampler())
         self._reusable = reusable or ReusableRuns(catalogue, archive)
         self._keeper = Keeper(catalogue, archive) if archive is not None else None
+        self._sharing = SlotSharing(archive)
         self._memory: dict[str, SweepMemory] = {}
         self._parsed: dict[str, tuple[int, Sweep]] = {}
         self._waiting: set[Key] = set()
@@ -153,6 +155,7 @@ class SweepReconciler:
             again = await self._reconcile(cluster, key, body)
         except ArchiveAway as error:
             self._archive_away[body["metadata"]["uid"]] = str(error)
+            self._sharing.rest(body["metadata"]["uid"])
             await _tell_archive(cluster, key, condition("ArchiveUnavailable", True, "NoAnswer", str(error)))
             return _AWAY_SECONDS
         seen = cluster.store.get(key) or body
@@ -167,6 +170,7 @@ class SweepReconciler:
             memory = await self._remembered(cluster, key, body, sweep)
         except InputError as error:
             self._waiting.add(key)
+            self._sharing.rest(body["metadata"]["uid"])
             await self._refuse(cluster, body, str(error))
             return None
         if body["metadata"].get("generation", 1) != (body.get("status") or {}).get("observedGeneration"):
@@ -195,6 +199,7 @@ class SweepReconciler:
             for namespace in cluster.settings.namespaces
             for body in cluster.store.of(Kind.SWEEP, namespace)
         }
+        self._sharing.leave(cluster, *(uid for uid in self._sharing.known if uid not in alive))
         for uid in [uid for uid in self._memory if uid not in alive]:
             memory = self._memory.pop(uid)
             try:
@@ -331,20 +336,29 @@ class SweepReconciler:
             decision = _decide(seen, room, now)
         memory.cursor = decision.cursor
         unmade: str | None = None
+        due: tuple[int, ...] = ()
         for action in decision.actions:
             match action:
-                case StartPoints() if self._is_held_back(seen, window):
-                    pass
-                case StartPoints(indices):
+                case StartPoints(indices) if not self._is_held_back(seen, window):
                     unmade = self._backlog(cluster, seen, window)
-                    unmade = unmade or await self._start(cluster, seen, indices, now)
+                    due = () if unmade else indices
                 case StopPoints(indices):
                     await self._cancel(cluster, [seen.runs[index] for index in indices if index in seen.runs])
+        look = SweepLook(seen.key, sweep, memory, seen.runs, len(leaving), window, len(due))
+        turn = await self._sharing.turn(cluster, look, now)
+        memory.share = turn.share
+        if turn.starts:
+            unmade = await self._start(cluster, seen, due[: turn.starts], now)
+        if unmade:
+            self._sharing.rest(seen.body["metadata"]["uid"])
         delays = [_BLOCKED_SECONDS] if unmade or unsought else []
         delays += [_LEAVING_SECONDS] if leaving else []
+        delays += [turn.delay] if turn.delay is not None else []
         still = standing_still(seen.runs, cluster.failing)
-        blocked = "\n".join(filter(None, (unsought, unmade, still)))
+        refused, refusal = turn.blocked or ("", None)
+        blocked = "\n".join(filter(None, (refusal, unsought, unmade, still)))
         words = (
+            (refusal, refused),
             (unsought, "CannotSearch"),
             (unmade, "CannotCreate"),
             (still, "RunsStandStill"),
@@ -672,6 +686,7 @@ def _figures(memory: SweepMemory, tally: SweepTally) -> SweepStatus:
         best=tally.best,
         points=encode_points(memory.states),
         deleted=memory.deletions or None,
+        share=memory.share,
     )
     if tally.best:
         status |= SweepStatus(display=SweepDisplay(ate=metres(tally.best[0].ate)))
