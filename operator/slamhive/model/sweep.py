@@ -7,7 +7,7 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from slamhive.model.base import Choice, Duration, Model, Resource, Scalar
+from slamhive.model.base import Choice, Duration, Labels, Model, Resource, Scalar
 from slamhive.model.evaluation import EvaluationSettings
 from slamhive.model.search import Search, SearchMethod
 
@@ -106,7 +106,7 @@ class Retention(Model):
 class TemplateMeta(Model):
     """Metadata that every run gets."""
 
-    labels: dict[str, str] = Field(default_factory=dict, description="Labels.")
+    labels: Labels = Field(default_factory=dict, description="Labels.")
     annotations: dict[str, str] = Field(default_factory=dict, description="Annotations.")
 
 

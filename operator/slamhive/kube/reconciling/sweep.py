@@ -25,6 +25,7 @@ from slamhive.engine import (
 from slamhive.kube.api.errors import REFUSALS, AlreadyExists, Conflict
 from slamhive.kube.api.kinds import Key, Kind, Label, Object, key_of, labels_of, owner_uids
 from slamhive.kube.builders.common import label_value
+from slamhive.kube.kueue import QUEUE_WAITS
 from slamhive.kube.pods import live_pods
 from slamhive.kube.reconciling.archiving import ArchiveAway, Keeper, in_thread
 from slamhive.kube.reconciling.catalogue import parse
@@ -45,12 +46,14 @@ from slamhive.kube.reconciling.sweep_runs import (
     decode_points,
     encode_points,
     free_slot,
+    held_back,
     is_archive_only,
     point_of,
     run_body,
     slots_used,
     standing_still,
     state_of,
+    why_held_back,
 )
 from slamhive.kube.reconciling.sweep_search import Asker, written_trials
 from slamhive.kube.reconciling.sweep_sharing import SlotSharing, SweepLook
@@ -104,6 +107,12 @@ class _SweepPicture:
     memory: SweepMemory
     runs: dict[int, Object]
     tally: SweepTally
+
+    @property
+    def active(self) -> list[Object]:
+        """Return its runs in flight, in the order of its points."""
+        states = self.memory.states
+        return [run for index, run in sorted(self.runs.items()) if states[index] == PointState.ACTIVE]
 
     @property
     def settled(self) -> list[Object]:
@@ -326,6 +335,7 @@ class SweepReconciler:
     async def _drive_window(self, cluster: Cluster, seen: _SweepPicture, now: float) -> float | None:
         """Start or stop what is due, write what changed, and archive what is done."""
         memory, sweep = seen.memory, seen.sweep
+        _note_start(seen, now)
         leaving = _leaving(cluster, seen)
         window = sweep.spec.parallelism or cluster.settings.default_parallelism
         room = max(0, window - len(leaving))
@@ -354,14 +364,17 @@ class SweepReconciler:
         delays = [_BLOCKED_SECONDS] if unmade or unsought else []
         delays += [_LEAVING_SECONDS] if leaving else []
         delays += [turn.delay] if turn.delay is not None else []
-        still = standing_still(seen.runs, cluster.failing)
+        active = seen.active
+        still = standing_still(active, cluster.failing)
+        queued = held_back(active)
         refused, refusal = turn.blocked or ("", None)
-        blocked = "\n".join(filter(None, (refusal, unsought, unmade, still)))
+        blocked = "\n".join(filter(None, (refusal, unsought, unmade, still, queued)))
         words = (
             (refusal, refused),
             (unsought, "CannotSearch"),
             (unmade, "CannotCreate"),
             (still, "RunsStandStill"),
+            (queued, QUEUE_WAITS),
             (True, "Free"),
         )
         word = next(word for told, word in words if told)
@@ -519,7 +532,8 @@ class SweepReconciler:
         memory.points = status.points
         answer = await cluster.write_status(Kind.SWEEP, body, status, conditions) or body
         memory.written_at = now
-        if blocked["status"] == "True" and not holds(body["status"], "Blocked"):
+        news = blocked["status"] == "True" and not holds(body["status"], "Blocked")
+        if news and blocked["reason"] != QUEUE_WAITS:  # to wait is what a queue is for
             await cluster.api.event(Kind.SWEEP, answer, "Warning", blocked["reason"], blocked["message"])
         await self._announce_phase(cluster, body, answer)
         if away is not None:
@@ -655,6 +669,16 @@ def _decide(seen: _SweepPicture, room: int, now: float) -> SweepDecision:
     decision = decide_sweep(seen.sweep.spec, observed, now)
     is_over = decision.verdict is Verdict.COMPLETE
     return replace(decision, message=search.decision.message) if is_over else decision
+
+
+def _note_start(seen: _SweepPicture, now: float) -> None:
+    """Let a Sweep's time begin when the first of its runs is let in: the wait in a queue costs no budget."""
+    memory, active = seen.memory, seen.active
+    is_waiting = bool(active) and all(map(why_held_back, active))
+    if is_waiting and len(active) + memory.states.count(PointState.PENDING) == len(memory.states):
+        memory.started_at = None
+    elif active:
+        memory.started_at = memory.started_at or now
 
 
 def _budget_left(sweep: Sweep, memory: SweepMemory, now: float) -> float:
