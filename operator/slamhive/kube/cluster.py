@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.kube.api.errors import Conflict, NotFound
 from slamhive.kube.api.kinds import MANAGER, Key, Kind, Label, Object, key_of, labels_of
+from slamhive.kube.kueue import Workloads
 from slamhive.kube.metrics import Metrics
 from slamhive.kube.metricsapi import ENDED, MetricsReader
 from slamhive.kube.pods import has_ended
@@ -57,6 +58,7 @@ class Cluster:
         metrics: what Prometheus gets.
         usage: figures of the metrics API.
         refused_pods: why Jobs have no pods.
+        workloads: what suspended Jobs wait for.
         failing: what keeps objects from going on, in a sentence, whether or not it could be written there.
     """
 
@@ -70,6 +72,7 @@ class Cluster:
         self.metrics = Metrics(run_name_label=settings.metrics.run_name_label)
         self.usage = MetricsReader(api, self.store, self.metrics, settings.namespaces)
         self.refused_pods = RefusedPods(api, clock)
+        self.workloads = Workloads(api, clock)
         self.failing: dict[Key, str] = {}
         self._creating: list[tuple[Kind, str | None, Object]] = []
         self._podless: dict[str, str] = {}

@@ -383,7 +383,15 @@ def _seen(
     told = condition_of(run, "Scheduled") or {}
     interrupted = told.get("reason") == TERMINATING
     if job is not None:
-        return observe_attempt(job, cluster.store.pods_of(job), was_interrupted=interrupted)
+        status = run.get("status") or {}
+        # While the status says why it doesn't run, what took its pod is counted already.
+        counted = phase_of(status) is not Phase.RUNNING or told.get("status") == "False"
+        return observe_attempt(
+            job,
+            cluster.store.pods_of(job),
+            was_interrupted=interrupted,
+            at_work_since=None if counted else moment(status.get("startTime")),
+        )
     # Of a Job that was deleted the pod lives on for its grace time, and nothing may run beside it.
     found = cluster.store.select(Kind.POD, key.namespace, Label.RUN, label_value(key.name))
     pods = [pod for pod in found if labels_of(pod).get(Label.ROLE) == Role.RUN]

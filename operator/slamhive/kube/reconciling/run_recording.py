@@ -126,7 +126,7 @@ class RunRecorder:
         attempted, now = facts.attempted, cluster.clock()
         fresh = [condition("Complete", True, str(state.reason or state.phase), state.message or "")]
         if equal is not None and state.phase is Phase.SUCCEEDED:
-            return reused_fields(equal, facts, self._reusable.processors), [
+            return reused_fields(equal, facts, self._reusable.conditions), [
                 *fresh,
                 condition("Reused", True, "EqualRun", f"took {equal.name}'s result"),
             ]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from slamhive import __version__
-from slamhive.engine import AttemptState, taken_over
+from slamhive.engine import AttemptState, LoadConditions, taken_over
 from slamhive.kube.api.encoding import encode
 from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.reconciling.disruptions import NO_DISRUPTIONS, Disruptions
@@ -148,6 +148,7 @@ def provenance(
         variant=known.get("key"),
         node=attempted.node,
         cpu_model=attempted.report.cpu_model if attempted.report else None,
+        machine=attempted.report.machine if attempted.report else None,
         slamhive_version=__version__,
         **_recording(facts),
     )
@@ -160,15 +161,17 @@ def _recording(facts: RunFacts) -> dict[str, Any]:
     return recording_fields(facts.spec["input"], asked_of(facts.body), facts.dataset, mode, prepared)
 
 
-def reused_fields(equal: RunRecord, facts: RunFacts, processors: Collection[str]) -> MappingRunStatus:
+def reused_fields(
+    equal: RunRecord, facts: RunFacts, conditions: Collection[LoadConditions]
+) -> MappingRunStatus:
     """Return the fields that a run takes over from an equal one.
 
     Args:
         equal: the equal run.
         facts: the run.
-        processors: models of the cluster's processors, as far as runs told of them.
+        conditions: those that the cluster's runs are measured under, as far as runs told of them.
     """
-    return _recorded(equal.replace(**taken_over(equal, _recording(facts), processors)))
+    return _recorded(equal.replace(**taken_over(equal, _recording(facts), conditions)))
 
 
 def archived_status(record: RunRecord) -> tuple[MappingRunStatus, list[dict[str, Any]]]:

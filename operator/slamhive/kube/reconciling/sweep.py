@@ -25,6 +25,7 @@ from slamhive.engine import (
 from slamhive.kube.api.errors import REFUSALS, AlreadyExists, Conflict
 from slamhive.kube.api.kinds import Key, Kind, Label, Object, key_of, labels_of, owner_uids
 from slamhive.kube.builders.common import label_value
+from slamhive.kube.kueue import QUEUE_WAITS
 from slamhive.kube.pods import live_pods
 from slamhive.kube.reconciling.archiving import ArchiveAway, Keeper, in_thread
 from slamhive.kube.reconciling.catalogue import parse
@@ -45,14 +46,17 @@ from slamhive.kube.reconciling.sweep_runs import (
     decode_points,
     encode_points,
     free_slot,
+    held_back,
     is_archive_only,
     point_of,
     run_body,
     slots_used,
     standing_still,
     state_of,
+    why_held_back,
 )
 from slamhive.kube.reconciling.sweep_search import Asker, written_trials
+from slamhive.kube.reconciling.sweep_sharing import SlotSharing, SweepLook
 from slamhive.kube.reconciling.sweep_state import SweepMemory, remember
 from slamhive.kube.status import condition, holds, iso, metres, moment, phase_of, status_patch
 from slamhive.model.base import seconds
@@ -105,6 +109,12 @@ class _SweepPicture:
     tally: SweepTally
 
     @property
+    def active(self) -> list[Object]:
+        """Return its runs in flight, in the order of its points."""
+        states = self.memory.states
+        return [run for index, run in sorted(self.runs.items()) if states[index] == PointState.ACTIVE]
+
+    @property
     def settled(self) -> list[Object]:
         """Return its live runs of which nothing more will be written."""
         finished = self.memory.finished
@@ -133,6 +143,7 @@ class SweepReconciler:
         self._asker = Asker(sampler or Sampler())
         self._reusable = reusable or ReusableRuns(catalogue, archive)
         self._keeper = Keeper(catalogue, archive) if archive is not None else None
+        self._sharing = SlotSharing(archive)
         self._memory: dict[str, SweepMemory] = {}
         self._parsed: dict[str, tuple[int, Sweep]] = {}
         self._waiting: set[Key] = set()
@@ -153,6 +164,7 @@ class SweepReconciler:
             again = await self._reconcile(cluster, key, body)
         except ArchiveAway as error:
             self._archive_away[body["metadata"]["uid"]] = str(error)
+            self._sharing.rest(body["metadata"]["uid"])
             await _tell_archive(cluster, key, condition("ArchiveUnavailable", True, "NoAnswer", str(error)))
             return _AWAY_SECONDS
         seen = cluster.store.get(key) or body
@@ -167,6 +179,7 @@ class SweepReconciler:
             memory = await self._remembered(cluster, key, body, sweep)
         except InputError as error:
             self._waiting.add(key)
+            self._sharing.rest(body["metadata"]["uid"])
             await self._refuse(cluster, body, str(error))
             return None
         if body["metadata"].get("generation", 1) != (body.get("status") or {}).get("observedGeneration"):
@@ -195,6 +208,7 @@ class SweepReconciler:
             for namespace in cluster.settings.namespaces
             for body in cluster.store.of(Kind.SWEEP, namespace)
         }
+        self._sharing.leave(cluster, *(uid for uid in self._sharing.known if uid not in alive))
         for uid in [uid for uid in self._memory if uid not in alive]:
             memory = self._memory.pop(uid)
             try:
@@ -321,6 +335,7 @@ class SweepReconciler:
     async def _drive_window(self, cluster: Cluster, seen: _SweepPicture, now: float) -> float | None:
         """Start or stop what is due, write what changed, and archive what is done."""
         memory, sweep = seen.memory, seen.sweep
+        _note_start(seen, now)
         leaving = _leaving(cluster, seen)
         window = sweep.spec.parallelism or cluster.settings.default_parallelism
         room = max(0, window - len(leaving))
@@ -331,23 +346,35 @@ class SweepReconciler:
             decision = _decide(seen, room, now)
         memory.cursor = decision.cursor
         unmade: str | None = None
+        due: tuple[int, ...] = ()
         for action in decision.actions:
             match action:
-                case StartPoints() if self._is_held_back(seen, window):
-                    pass
-                case StartPoints(indices):
+                case StartPoints(indices) if not self._is_held_back(seen, window):
                     unmade = self._backlog(cluster, seen, window)
-                    unmade = unmade or await self._start(cluster, seen, indices, now)
+                    due = () if unmade else indices
                 case StopPoints(indices):
                     await self._cancel(cluster, [seen.runs[index] for index in indices if index in seen.runs])
+        look = SweepLook(seen.key, sweep, memory, seen.runs, len(leaving), window, len(due))
+        turn = await self._sharing.turn(cluster, look, now)
+        memory.share = turn.share
+        if turn.starts:
+            unmade = await self._start(cluster, seen, due[: turn.starts], now)
+        if unmade:
+            self._sharing.rest(seen.body["metadata"]["uid"])
         delays = [_BLOCKED_SECONDS] if unmade or unsought else []
         delays += [_LEAVING_SECONDS] if leaving else []
-        still = standing_still(seen.runs, cluster.failing)
-        blocked = "\n".join(filter(None, (unsought, unmade, still)))
+        delays += [turn.delay] if turn.delay is not None else []
+        active = seen.active
+        still = standing_still(active, cluster.failing)
+        queued = held_back(active)
+        refused, refusal = turn.blocked or ("", None)
+        blocked = "\n".join(filter(None, (refusal, unsought, unmade, still, queued)))
         words = (
+            (refusal, refused),
             (unsought, "CannotSearch"),
             (unmade, "CannotCreate"),
             (still, "RunsStandStill"),
+            (queued, QUEUE_WAITS),
             (True, "Free"),
         )
         word = next(word for told, word in words if told)
@@ -505,7 +532,8 @@ class SweepReconciler:
         memory.points = status.points
         answer = await cluster.write_status(Kind.SWEEP, body, status, conditions) or body
         memory.written_at = now
-        if blocked["status"] == "True" and not holds(body["status"], "Blocked"):
+        news = blocked["status"] == "True" and not holds(body["status"], "Blocked")
+        if news and blocked["reason"] != QUEUE_WAITS:  # to wait is what a queue is for
             await cluster.api.event(Kind.SWEEP, answer, "Warning", blocked["reason"], blocked["message"])
         await self._announce_phase(cluster, body, answer)
         if away is not None:
@@ -643,6 +671,16 @@ def _decide(seen: _SweepPicture, room: int, now: float) -> SweepDecision:
     return replace(decision, message=search.decision.message) if is_over else decision
 
 
+def _note_start(seen: _SweepPicture, now: float) -> None:
+    """Let a Sweep's time begin when the first of its runs is let in: the wait in a queue costs no budget."""
+    memory, active = seen.memory, seen.active
+    is_waiting = bool(active) and all(map(why_held_back, active))
+    if is_waiting and len(active) + memory.states.count(PointState.PENDING) == len(memory.states):
+        memory.started_at = None
+    elif active:
+        memory.started_at = memory.started_at or now
+
+
 def _budget_left(sweep: Sweep, memory: SweepMemory, now: float) -> float:
     """Return after how many seconds to look at the budget of time again."""
     end = (memory.started_at or now) + seconds(sweep.spec.budget.wall_time or "0s")
@@ -672,6 +710,7 @@ def _figures(memory: SweepMemory, tally: SweepTally) -> SweepStatus:
         best=tally.best,
         points=encode_points(memory.states),
         deleted=memory.deletions or None,
+        share=memory.share,
     )
     if tally.best:
         status |= SweepStatus(display=SweepDisplay(ate=metres(tally.best[0].ate)))
