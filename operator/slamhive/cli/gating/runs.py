@@ -16,6 +16,7 @@ from slamhive.analysis.gating.figures import (
     MARGINS,
     GateFigure,
 )
+from slamhive.analysis.grouping import CONDITIONS
 from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
 from slamhive.analysis.searches.seen import records_frame
 from slamhive.cli.parts.checked import check_files
@@ -26,6 +27,7 @@ from slamhive.cli.parts.exits import INTERRUPTED
 from slamhive.cli.parts.planning import planned
 from slamhive.cli.parts.progress import Naming
 from slamhive.cli.running import drive, measure_all
+from slamhive.engine import LoadConditions
 from slamhive.local.running.choosing import RunChoice
 from slamhive.local.running.runner import Job
 from slamhive.model.base import NAME_LIMIT
@@ -198,14 +200,14 @@ class GateRows:
     Attributes:
         cells: by row of the plan.
         faults: sentences on runs in whose way the machine was.
-        processors: models.
+        conditions: those that load was measured under.
         reused: number of results that were taken over.
         disturbed: number of runs beside other work.
     """
 
     cells: dict[int, BaselineCell]
     faults: list[str]
-    processors: set[str]
+    conditions: set[LoadConditions]
     reused: int
     disturbed: int
 
@@ -227,7 +229,7 @@ def collect(test: GateSweep, bench: Workbench, columns: Iterable[str]) -> GateRo
         "alignment",
         "dataset",
         "provenance.datasetSha256",
-        "provenance.cpuModel",
+        *CONDITIONS,
         "provenance.reusedFrom",
         "usage.memory.kind",
         "disturbed",
@@ -277,8 +279,8 @@ def collect(test: GateSweep, bench: Workbench, columns: Iterable[str]) -> GateRo
                 if not all(math.isnan(of[line]) for line in lines)
             },
         )
-    models = {model for model in about["provenance.cpuModel"] if model is not None}
-    return GateRows(cells, faults, models, reused, disturbed)
+    conditions = {LoadConditions(*row) for row in zip(*(about[name] for name in CONDITIONS), strict=True)}
+    return GateRows(cells, faults, conditions - {LoadConditions(None)}, reused, disturbed)
 
 
 def _own_runs(test: GateSweep, bench: Workbench, wanted: str) -> Frame:
