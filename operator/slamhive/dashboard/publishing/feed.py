@@ -31,7 +31,7 @@ class Place:
         rank: its rank among ``of`` competitors there; None where all its runs failed.
         of: competitors.
         median: of the error, m.
-        spread: standard deviation of the error over its runs, m; None of a single one.
+        spread: standard deviation of the error within its settings, m; None where each ran once.
         runs: that count.
         date: of its last run, as YYYY-MM-DD.
     """
@@ -72,12 +72,17 @@ def _plain(name: str) -> str:
     return plain if plain and plain == name.lower() else f"{plain or 'x'}-{uuid.uuid5(_SPACE, name).hex[:6]}"
 
 
-def places(board: Mapping[str, Any], dates: Mapping[tuple[str, ...], str]) -> Iterator[Place]:
+def places(
+    board: Mapping[str, Any],
+    dates: Mapping[tuple[str, ...], str],
+    spreads: Mapping[tuple[str, ...], float],
+) -> Iterator[Place]:
     """Go through the places of a leaderboard's competitors.
 
     Args:
         board: of /api/v1/analysis/leaderboard.
         dates: when the last run ended, by algorithm, sensors and dataset.
+        spreads: of the error within settings, m, by the same.
     """
     for entry in board["entries"]:
         keys = entry["keys"]
@@ -89,8 +94,7 @@ def places(board: Mapping[str, Any], dates: Mapping[tuple[str, ...], str]) -> It
                 for standing in other["datasets"]
                 if standing["dataset"] == one["dataset"]
             ]
-            summary = one["summary"] or {}
-            spread = summary.get("std") if (summary.get("n") or 0) > 1 else None
+            key = (*(str(value) for value in keys.values()), str(one["dataset"]))
             yield Place(
                 name,
                 keys,
@@ -98,9 +102,9 @@ def places(board: Mapping[str, Any], dates: Mapping[tuple[str, ...], str]) -> It
                 one["rank"],
                 len(ranked),
                 one["median"],
-                spread,
+                spreads.get(key),
                 one["n"],
-                dates.get((*(str(value) for value in keys.values()), str(one["dataset"])), ""),
+                dates.get(key, ""),
             )
 
 
