@@ -36,15 +36,7 @@ from slamhive.cli.gating.runs import (
     tell_disturbed,
 )
 from slamhive.cli.parts import tables
-from slamhive.cli.parts.console import (
-    emit,
-    open_workbench,
-    out,
-    plural,
-    remark,
-    speak_json,
-    speaks_json,
-)
+from slamhive.cli.parts.console import emit, open_workbench, out, remark, speak_json, speaks_json
 from slamhive.cli.parts.exits import FAILED, INTERRUPTED, UNKNOWN, WORSE
 from slamhive.cli.plans import Files
 from slamhive.cli.running import (
@@ -60,7 +52,7 @@ from slamhive.local.home.catalog import load_workshop
 from slamhive.local.home.folder import Home
 from slamhive.local.home.sweeping import require_own_name
 from slamhive.local.programs.engines import ContainerChoice
-from slamhive.model.base import seconds
+from slamhive.model.base import plural, seconds
 from slamhive.model.errors import InputError
 from slamhive.model.sweep import Budget
 from slamhive.monitor.measuring.processes import forbid_inspection

@@ -24,7 +24,7 @@ FOLDER = "gates"
 
 @contextmanager
 def begun(home: Home, command: Sequence[str]) -> Iterator[tuple[datetime, Callable[[], None]]]:
-    """Yield when a gate began, and what keeps that for the next time; else it is forgotten when this ends.
+    """Yield the time at which a gate began, and a function that keeps it: else it goes when this ends.
 
     Args:
         home: the home.

@@ -20,9 +20,6 @@ from slamhive.analysis.grouping import CONDITIONS
 from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
 from slamhive.analysis.searches.seen import records_frame
 from slamhive.cli.parts.checked import check_files
-from slamhive.cli.parts.console import (
-    plural,
-)
 from slamhive.cli.parts.exits import INTERRUPTED
 from slamhive.cli.parts.planning import planned
 from slamhive.cli.parts.progress import Naming
@@ -30,7 +27,7 @@ from slamhive.cli.running import drive, measure_all
 from slamhive.engine import LoadConditions
 from slamhive.local.running.choosing import RunChoice
 from slamhive.local.running.runner import Job
-from slamhive.model.base import NAME_LIMIT
+from slamhive.model.base import NAME_LIMIT, plural
 from slamhive.model.canonical import normalize
 from slamhive.model.errors import InputError
 from slamhive.model.results import Outcome, Phase, Reason

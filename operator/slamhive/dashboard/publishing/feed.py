@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 from xml.sax.saxutils import escape, quoteattr
 
+from slamhive.model.base import plural
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
@@ -171,7 +173,7 @@ def feed(
     entries = [
         _FeedEntry(
             f"sweep {one['name']}",
-            f"Sweep {one['name']}: {_runs(one['runs'])}",
+            f"Sweep {one['name']}: {plural(one['runs'], 'run')}",
             one.get("finished") or "",
             f"#/sweeps/{_quoted(one['name'])}",
             " on ".join(", ".join(map(str, one.get(name) or ())) for name in ("algorithms", "datasets")),
@@ -184,7 +186,7 @@ def feed(
             f"{one.competitor} on {one.dataset}: {one.said}",
             f"{one.date}T00:00:00+00:00" if one.date else "",
             f"#/leaderboard?dataset={_quoted(one.dataset)}",
-            _runs(one.runs),
+            plural(one.runs, "run"),
         )
         for one in ranks
     ]
@@ -201,10 +203,6 @@ def feed(
         f'<link rel="self" href={quoteattr(f"{base}feed.xml")}/>{whole}</feed>\n'
     )
     return atom.encode(), updated
-
-
-def _runs(count: int) -> str:
-    return f"{count} run{'' if count == 1 else 's'}"
 
 
 def _fit(text: str) -> str:
