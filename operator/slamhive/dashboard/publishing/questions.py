@@ -45,7 +45,7 @@ MOST_CROSSED = 3
 _SETTINGS = frozenset({"parameters", "input", "resources"})
 _NUMBERS = frozenset({"number", "integer"})
 _SUBJECTS = ("algorithm", "sensors", "dataset")
-_TABLES = (
+PAPER_TABLES = (
     (
         "sensors,algorithm,dataset",
         "ate.rmse,usage.cpu.meanCores,usage.cpu.maxCores,usage.memory.peakBytes",
@@ -215,14 +215,14 @@ def _with_conditions(columns: AskedColumns) -> Iterator[str]:
         for metrics in (ERROR, ",".join([ERROR, *loads])):
             yield address(f"{ANALYSIS}/aggregate", *asked, ("metrics", metrics), ("outcomes", "tracked"))
     if "slam-hive" in columns.names("label.source"):
-        for by, metrics, where in _TABLES:
+        for by, metrics, where in PAPER_TABLES:
             chosen = ("where", where), ("by", by), ("metrics", metrics), ("outcomes", "all")
             yield address(f"{ANALYSIS}/aggregate", *chosen)
 
 
 def conditions(columns: AskedColumns) -> list[str]:
     """Return the conditions that pages put by themselves, as they put them."""
-    found = [where for _, _, where in _TABLES] + ["superseded is not null", *_PLAYED]
+    found = [where for _, _, where in PAPER_TABLES] + ["superseded is not null", *_PLAYED]
     found += [f"{_quoted(name)} is not null" for name in columns.features]
     return found + [f"tags contains '{tag}'" for tag in columns.tags]
 
