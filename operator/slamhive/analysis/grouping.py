@@ -20,7 +20,7 @@ from slamhive.analysis.columns import Column, renumbered
 from slamhive.analysis.measures import BESIDE, CONFIGURATION, Better, follows_trajectory, is_error, measure_of
 from slamhive.analysis.statistics import edges
 from slamhive.model.algorithm import Pace
-from slamhive.model.base import Choice
+from slamhive.model.base import Choice, plural
 from slamhive.model.results import Outcome, Reason
 
 if TYPE_CHECKING:
@@ -254,9 +254,9 @@ def disturbance_notes(frame: Frame, metrics: Sequence[str]) -> list[str]:
     left_out = [name for name in metrics if name in DISTURBED]
     count = frame.count_runs(frame.column("disturbed").floats() > 0) if left_out else 0
     if count:
-        runs = "1 run" if count == 1 else f"{count} runs"
         notes.append(
-            f"{runs} shared cores with other work or were throttled: left out of {', '.join(left_out)}"
+            f"{plural(count, 'run')} shared cores with other work or were throttled: left out of "
+            f"{', '.join(left_out)}"
         )
     timed = where_equal(frame, "input.pace", Pace.REALTIME.value)
     others = [pace.value for pace in Pace if where_equal(frame, "input.pace", pace.value)[~timed].any()]
@@ -275,7 +275,7 @@ def late_notes(frame: Frame, metrics: Iterable[str]) -> list[str]:
     if not count:
         return []
     late = frame.column("lateSeconds").floats()
-    runs = "" if len(frame) == 1 else " in 1 run" if count == 1 else f" in {count} runs"
+    runs = "" if len(frame) == 1 else f" in {plural(count, 'run')}"
     return [late_words(float(np.nanmax(late)), runs)]
 
 
@@ -342,7 +342,7 @@ def chosen_notes(frame: Frame) -> list[str]:
     if column.is_empty:
         return []
     count, rest = frame.count_runs(column.present), frame.count_runs()
-    share = "all runs were" if count == rest else f"{_runs_text(count)} of {rest:,} were"
+    share = "all runs were" if count == rest else f"{plural(count, 'run')} of {rest:,} were"
     return [f"{CHOSEN} {share} chosen by a search for its results ({_methods(frame)}): no fair sample"]
 
 
@@ -356,7 +356,7 @@ def origin_notes(frame: Frame) -> list[str]:
     for keys, rows in zip(groups.keys, groups.members(), strict=True):
         mine = foreign.select(rows)
         words = mine.column(ORIGIN).factorized()[1]
-        runs = _runs_text(mine.count_runs())
+        runs = plural(mine.count_runs(), "run")
         word = " and ".join(sorted({str(one).partition(" (")[0] for one in words}))
         told.append(f"{keys['algorithm']}: {word} ({runs} from {keys['origin.source']})")
     return _first(told)
@@ -376,12 +376,8 @@ def without_chosen(frame: Frame) -> tuple[Frame, list[str]]:
         return frame, chosen_notes(frame)
     count = frame.count_runs(chosen)
     verb = "is" if count == 1 else "are"
-    told = f"{_runs_text(count)} that a search chose by results ({_methods(frame)}) {verb} left out"
+    told = f"{plural(count, 'run')} that a search chose by results ({_methods(frame)}) {verb} left out"
     return frame.select(~chosen), [told]
-
-
-def _runs_text(count: int) -> str:
-    return "1 run" if count == 1 else f"{count:,} runs"
 
 
 def _methods(frame: Frame) -> str:

@@ -24,7 +24,7 @@ from slamhive.bridges.targets import BridgeTarget
 from slamhive.cli.forgetting import prune
 from slamhive.cli.onerun import note_runs, show_run
 from slamhive.cli.parts.choosing import Also, EvaluationName, Output, Superseded, Where, choose_runs
-from slamhive.cli.parts.console import complain, listing, open_workbench, out, plural, remark
+from slamhive.cli.parts.console import complain, listing, open_workbench, out, remark
 from slamhive.cli.parts.exits import FAILED
 from slamhive.cli.parts.robustness import show_robustness
 from slamhive.cli.parts.tables import PrintFormat, show, write_json, write_markdown
@@ -33,6 +33,7 @@ from slamhive.cli.suspecting import show_suspects
 from slamhive.contract.lines import printable
 from slamhive.data.files.outputs import output_whole
 from slamhive.local.home.folder import Home
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.tables.homes import COLUMN, homes_beside, read_homes
 from slamhive.tables.queries import split_names
