@@ -11,7 +11,6 @@ only looked through for them where some can't be made columns of, or hold someth
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
@@ -35,6 +34,7 @@ from slamhive.analysis.flattening import (
 )
 from slamhive.analysis.frame import Frame
 from slamhive.analysis.shapes import is_divided, join, loads, names_of
+from slamhive.analysis.texts import FACTOR, MARKS, numbers_of_texts, short
 from slamhive.archive import documents, schema
 from slamhive.archive.connection import reading, shown
 from slamhive.archive.documents import UNREADABLE, raw
@@ -62,9 +62,7 @@ BATCH = 2000
 _SOME = 500
 _SAMPLE = 64
 _STREAMED = 10_000
-_MARKS = 2**64
 _NOTHING = int(np.array([None], dtype=np.float64).view(np.uint64)[0])
-_FACTOR = 0x9E3779B97F4A7C15
 _CHANGES = (
     *("phase", "reason", "attempts", "sweep", "sweep_uid", "finished", "cpu_seconds", "wall_seconds"),
     *("cluster", "dataset", "note", "tags", "evaluations"),
@@ -75,7 +73,6 @@ _RESULT_CHANGES = (
 _RUN = ("id", *_CHANGES[:-1], *(name for name in OF_RUN.values() if name not in {"id", *_CHANGES}))
 _AS_THEY_ARE = frozenset({"labels", "evaluations"})
 _MAY_BE_MISSING = frozenset({"usage", "frames", "trajectory"})
-_LONG = 256
 _NONE = type(None)
 _WRITTEN = "1970", "9"
 _MOMENTS = datetime(1970, 1, 1), datetime(9000, 1, 1)  # noqa: DTZ001 - as the database has them
@@ -212,7 +209,7 @@ def _add_marks(marks: dict[int, int], columns: Sequence[Sequence[Any]], *, runs:
     for run, mark in zip(columns[0], found, strict=True):
         if run in marks:
             # A sum, as results come in no order.
-            marks[run] = (marks[run] + mark) % _MARKS
+            marks[run] = (marks[run] + mark) % MARKS
 
 
 def _row_marks(columns: Sequence[Sequence[Any]]) -> list[int]:
@@ -223,7 +220,7 @@ def _row_marks(columns: Sequence[Sequence[Any]]) -> list[int]:
     total = np.zeros(len(columns[0]), dtype=np.uint64)
     for place, values in enumerate(columns):
         numbers = _numbers_of(values)
-        total += (numbers ^ (numbers >> np.uint64(29))) * np.uint64(pow(_FACTOR, 2 * place + 1, _MARKS))
+        total += (numbers ^ (numbers >> np.uint64(29))) * np.uint64(pow(FACTOR, 2 * place + 1, MARKS))
     marks: list[int] = (total ^ (total >> np.uint64(32))).tolist()
     return marks
 
@@ -233,26 +230,10 @@ def _numbers_of(values: Sequence[Any]) -> npt.NDArray[np.uint64]:
     if set(map(type, values)) <= {int, float, type(None)}:
         return np.array(values, dtype=np.float64).view(np.uint64)
     different = list(dict.fromkeys(values))
-    texts = [_short(str(value).encode("utf-8", "replace")) for value in different]
-    numbers = dict(zip(different, _numbers_of_texts(texts).tolist(), strict=True))
+    texts = np.array([short(str(value).encode("utf-8", "replace")) for value in different])
+    numbers = dict(zip(different, numbers_of_texts(texts).tolist(), strict=True))
     numbers[None] = _NOTHING
     return np.fromiter(map(numbers.__getitem__, values), np.uint64, len(values))
-
-
-def _short(text: bytes) -> bytes:
-    """Return a text, or the hash of a long one: all of them are laid out as long as the longest."""
-    return text if len(text) <= _LONG else hashlib.sha256(text).digest()
-
-
-def _numbers_of_texts(texts: Sequence[bytes]) -> npt.NDArray[np.uint64]:
-    """Return a number for each text, of its words of 8 bytes: those of many texts at once."""
-    width = -(-max(map(len, texts), default=0) // 8) or 1
-    words = np.array(texts, dtype=f"S{8 * width}").view(np.uint64).reshape(len(texts), width)
-    total = np.fromiter(map(len, texts), np.uint64, len(texts))
-    for place in range(width):
-        turned = (words[:, place] ^ (words[:, place] >> np.uint64(31))) * np.uint64(_FACTOR)
-        total += turned * np.uint64(pow(_FACTOR, 2 * place + 1, _MARKS))
-    return total ^ (total >> np.uint64(29))
 
 
 def _batches(connection: Connection, changed: Sequence[int] | None) -> Iterator[Sequence[Row[Any]]]:

@@ -25,9 +25,10 @@ from slamhive.analysis.columns import Column, ColumnKind
 from slamhive.analysis.derived import SweepVersion, with_derived
 from slamhive.analysis.frame import DERIVED, Frame
 from slamhive.analysis.shapes import loads
+from slamhive.analysis.texts import PackedTexts
 from slamhive.model.leftout import LeftOut
 
-VERSION = 10
+VERSION = 11
 _SETTLED_NANOSECONDS = 2 * 10**9
 LEAST_ROWS = 5000
 """Rows from which on a cache is worth its place where it can't spare the database itself."""
@@ -99,13 +100,15 @@ def save(path: Path, loaded: Loaded) -> None:
     described = []
     for number, name in enumerate(name for name in frame.stored if name not in DERIVED):
         column = frame.column(name)
-        described.append({"name": name, "kind": str(column.kind)})
-        if column.kind.is_numeric:
-            arrays[f"c{number}"] = column.numbers
-        else:
-            arrays[f"c{number}"] = column.codes
+        arrays[f"c{number}"] = column.held
+        values = column.values.data if isinstance(column.values, PackedTexts) else column.values
+        is_array = isinstance(values, np.ndarray)
+        if column.is_coded:
             # By themselves, so that a start needs memory for the texts of one column at a time.
-            arrays[f"v{number}"] = _text_of(column.values)
+            arrays[f"v{number}"] = values if is_array else _text_of(values)
+        described.append(
+            {"name": name, "kind": str(column.kind), "array": is_array, "coded": column.is_coded}
+        )
     head = {
         "version": VERSION,
         "slamhive": __version__,
@@ -185,9 +188,8 @@ def _read(path: Path) -> tuple[Loaded, tuple[SweepVersion, ...] | None] | None:
                 return None
             columns = {}
             for number, item in enumerate(head["columns"]):
-                kind = ColumnKind(item["kind"])
-                values = () if kind.is_numeric else tuple(loads(arrays[f"v{number}"].tobytes()))
-                columns[str(item["name"])] = _column(kind, arrays[f"c{number}"], values, int(head["rows"]))
+                values = arrays[f"v{number}"] if item["coded"] else None
+                columns[str(item["name"])] = _column(item, arrays[f"c{number}"], values, int(head["rows"]))
             marks = dict(zip(arrays["ids"].tolist(), arrays["marks"].tolist(), strict=True))
             told, declared = head["sweeps"], dict(head["declared"])
             left_out = tuple(LeftOut(*one) for one in head["leftOut"])
@@ -203,11 +205,16 @@ def _text_of(value: Any) -> Any:
     return np.frombuffer(json.dumps(value).encode(), dtype=np.uint8)
 
 
-def _column(kind: ColumnKind, array: Any, values: tuple[Any, ...], rows: int) -> Column:
+def _column(item: dict[str, Any], array: Any, values: Any, rows: int) -> Column:
+    kind = ColumnKind(item["kind"])
     if array.shape != (rows,):
         raise ValueError(f"a column's shape {array.shape} is not ({rows},)")
-    if kind.is_numeric:
+    if values is None:
         return Column(kind, array.astype(np.float64, copy=False), np.empty(0, dtype=np.int32))
+    if not item["array"]:
+        values = tuple(loads(values.tobytes()))
+    elif not kind.is_numeric:
+        values = PackedTexts(values)
     if rows and not -1 <= int(array.min()) <= int(array.max()) < len(values):
         raise ValueError("a code without a value")
-    return Column(kind, np.empty(0), array.astype(np.int32, copy=False), values)
+    return Column(kind, np.empty(0), array, values)
