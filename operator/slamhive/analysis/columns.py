@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.texts import PackedTexts, merged
+from slamhive.analysis.compact.texts import PackedTexts, merged, numbers_of_texts, short
 from slamhive.model.base import Choice
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
+    from collections.abc import Set as AbstractSet
 
     import numpy.typing as npt
 
@@ -105,9 +106,14 @@ class Column:
         return cls(kind, _NO_NUMBERS, _narrow(np.asarray(codes), len(kept)), kept)
 
     @classmethod
-    def of(cls, values: Sequence[Any]) -> Column:
-        """Return the column of plain JSON values."""
-        types = set(map(type, values))
+    def of(cls, values: Sequence[Any], types: AbstractSet[type] | None = None) -> Column:
+        """Return the column of plain JSON values.
+
+        Args:
+            values: one a row, None where missing.
+            types: those of the values, where they are known.
+        """
+        types = set(map(type, values)) if types is None else types
         if types <= _PLAIN:
             found = cls.of_numbers(values)  # numpy reads None as NaN
             whole = float not in types and int in types
@@ -119,6 +125,18 @@ class Column:
         if types <= {str, type(None)}:
             return cls._coded(values, values)
         return cls._coded(values, [None if value is None else _identity(value) for value in values])
+
+    @classmethod
+    def repeated(cls, value: Any, length: int, rows: Indices | None = None) -> Column:
+        """Return the column of one value in all rows, or in some."""
+        one = cls.of([value])
+        if not one.is_coded:
+            one = cls(one.kind, _NO_NUMBERS, np.zeros(1, dtype=np.int8), one.numbers)
+        codes = np.zeros(length, dtype=np.int8)
+        if rows is not None:
+            codes.fill(-1)
+            codes[rows] = 0
+        return cls(one.kind, _NO_NUMBERS, codes, one.values)
 
     @classmethod
     def missing(cls, length: int) -> Column:
@@ -245,6 +263,17 @@ class Column:
             self._codes[0] >= 0 if self.is_coded else not np.isnan(self._numbers[0])
         )
         return not (begins_with_one or self.present.any())
+
+    def marks(self) -> npt.NDArray[np.uint64]:
+        """Return a number for each value, (n,), the same in every process and column (``hash`` is not)."""
+        if self.kind.is_numeric:
+            return self.numbers.view(np.uint64)
+        values = self.values
+        if not isinstance(values, PackedTexts):
+            texts = [short(str(value).encode("utf-8", "replace")) for value in values]
+            values = PackedTexts(np.array(texts, dtype=np.bytes_))
+        found: npt.NDArray[np.uint64] = np.append(numbers_of_texts(values.data), _NOTHING)[self._codes]
+        return found
 
     def among(self, wanted: Iterable[Any]) -> Mask:
         """Tell which rows have one of some texts, or none where None is wanted, (n,)."""
@@ -373,6 +402,7 @@ class Column:
 _PLAIN_TYPES = {ColumnKind.NUMBER: np.float64, ColumnKind.INTEGER: np.int64, ColumnKind.BOOLEAN: np.bool_}
 _NO_NUMBERS = np.empty(0)
 _NO_CODES = np.empty(0, dtype=np.int32)
+_NOTHING = np.array([math.nan]).view(np.uint64)
 
 
 def _narrow(codes: npt.NDArray[Any], count: int) -> npt.NDArray[np.signedinteger[Any]]:

@@ -11,15 +11,18 @@ only looked through for them where some can't be made columns of, or hold someth
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from sqlalchemy import select, text
+from sqlalchemy import func, select, text
 
-from slamhive.analysis.columns import ColumnKind
+from slamhive.analysis.columns import Column, ColumnKind
+from slamhive.analysis.compact.shapes import is_divided, join, loads, names_of
 from slamhive.analysis.derived import SweepVersion, with_derived
 from slamhive.analysis.flattening import (
     LEFT_OUT,
@@ -33,8 +36,6 @@ from slamhive.analysis.flattening import (
     stack,
 )
 from slamhive.analysis.frame import Frame
-from slamhive.analysis.shapes import is_divided, join, loads, names_of
-from slamhive.analysis.texts import FACTOR, MARKS, numbers_of_texts, short
 from slamhive.archive import documents, schema
 from slamhive.archive.connection import reading, shown
 from slamhive.archive.documents import UNREADABLE, raw
@@ -42,6 +43,7 @@ from slamhive.archive.rows import read_rows, read_runs, why
 from slamhive.model.errors import InputError
 from slamhive.model.results import Outcome, Phase
 from slamhive.model.search import choosing_method
+from slamhive.tables.marks import RunMarks
 from slamhive.tables.snapshots import Loaded, derived
 from slamhive.tables.uncollected import uncollected
 
@@ -49,20 +51,22 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from collections.abc import Set as AbstractSet
 
-    import numpy.typing as npt
-    from sqlalchemy import Connection, Engine, Row
+    from sqlalchemy import Connection, Engine, Row, Select
 
+    from slamhive.analysis.compact.shapes import Names
     from slamhive.analysis.flattening import Part
-    from slamhive.analysis.shapes import Names
     from slamhive.model.leftout import LeftOut
+    from slamhive.tables.marks import Ids
 
 BATCH = 2000
 """Runs read at a time: their documents are what loading needs memory for."""
 
+LEAST_HELPED = 10
+"""Batches from which on another process helps: it takes half a second to begin."""
+
 _SOME = 500
 _SAMPLE = 64
 _STREAMED = 10_000
-_NOTHING = int(np.array([None], dtype=np.float64).view(np.uint64)[0])
 _CHANGES = (
     *("phase", "reason", "attempts", "sweep", "sweep_uid", "finished", "cpu_seconds", "wall_seconds"),
     *("cluster", "dataset", "note", "tags", "evaluations"),
@@ -72,6 +76,12 @@ _RESULT_CHANGES = (
 )
 _RUN = ("id", *_CHANGES[:-1], *(name for name in OF_RUN.values() if name not in {"id", *_CHANGES}))
 _AS_THEY_ARE = frozenset({"labels", "evaluations"})
+_AS_COLUMNS = frozenset(_RUN) - {"id", *TIMES} | {"alignment", "scale", "ate_rmse", "rpe_rmse"}
+_TYPES: dict[ColumnKind, set[type]] = {
+    ColumnKind.INTEGER: {int},
+    ColumnKind.NUMBER: {float},
+    ColumnKind.BOOLEAN: {bool},
+}
 _MAY_BE_MISSING = frozenset({"usage", "frames", "trajectory"})
 _NONE = type(None)
 _WRITTEN = "1970", "9"
@@ -113,34 +123,24 @@ def load(engine: Engine, before: Loaded | None = None, stamp: tuple[int, ...] | 
     with reading(engine) as connection, uncollected():
         known = before.marks
         same = stamp is not None and stamp == before.stamp
-        marks = known if same else _marks(connection) if known else None
+        marks = known if same else _marks(connection) if len(known) else None
         sweeps, odd = _sweeps(connection)
         declared, more = _declared(connection)
         odd += more
-        if marks is not None and marks == known:
+        if marks is not None and marks.same_as(known):
             found_now = before if sweeps == before.sweeps else derived(before, sweeps)
             runs = [one for one in before.left_out if one.number is not None]
             if declared != found_now.frame.declared:
                 found_now = replace(found_now, frame=found_now.frame.declaring(declared))
             return replace(found_now, stamp=stamp, left_out=(*runs, *odd))
-        changed = None if marks is None else [run for run, mark in marks.items() if known.get(run) != mark]
-        again = set(changed or ())
-        fresh, found = [], {} if marks is None else marks
-        runs = [one for one in before.left_out if one.number in found and one.number not in again]
-        shapes = _Shapes()
-        for rows in _batches(connection, changed):
-            measured = _results(connection, [row[0] for row in rows])
-            columns, held = _turned(rows), _turned(measured)
-            _add_marks(found, [*columns[: len(_CHANGES)], columns[-1]], runs=True)
-            _add_marks(found, held[: len(_RESULT_CHANGES)], runs=False)
-            try:
-                part = _read(connection, columns, held, shapes)
-                left_out: list[LeftOut] = []
-            except UNREADABLE:
-                part, left_out = _read_some(connection, rows, measured, shapes)
-            fresh.append(part)
-            runs += left_out
-    frame = _merge(before.frame, again, found, fresh, sweeps).declaring(declared)
+        changed = None if marks is None else marks.changed_since(known)
+        reader = BatchReader(connection)
+        batches = list(reader.all() if changed is None else reader.some(changed))
+    found = RunMarks.joined([one.marks for one in batches]) if marks is None else marks
+    stays = np.empty(0) if changed is None else np.setdiff1d(found.ids, changed)
+    runs = [one for one in before.left_out if one.number in stays]
+    runs += [one for batch in batches for one in batch.left_out]
+    frame = _merge(before.frame, stays, [one.part for one in batches], sweeps).declaring(declared)
     return Loaded(frame, found, sweeps, stamp, (*runs, *odd))
 
 
@@ -182,75 +182,116 @@ def _declared(connection: Connection) -> tuple[dict[str, dict[str, str]], list[L
     return dict(found), left_out
 
 
-def _marks(connection: Connection) -> dict[int, int]:
-    """Return a short mark of each run's look, by its id."""
+def _marks(connection: Connection) -> RunMarks:
+    """Return a short mark of each run's look."""
     runs, results = schema.runs.c, schema.results.c
     asked_for = [raw(connection, runs[name]) for name in ("id", *_CHANGES)]
     query = select(*asked_for).order_by(runs.id)
-    measured = select(*(results[name] for name in _RESULT_CHANGES))
-    marks: dict[int, int] = {}
-    for asked in (query, measured):
-        for rows in connection.execute(asked.execution_options(yield_per=_STREAMED)).partitions():
-            _add_marks(marks, list(zip(*rows, strict=True)), runs=asked is query)
-    return marks
+    found = RunMarks.joined([RunMarks.of(part, ()) for part in _streamed(connection, query)])
+    for part in _streamed(connection, select(*(results[name] for name in _RESULT_CHANGES))):
+        found = found.with_results(part)
+    return found
 
 
-def _add_marks(marks: dict[int, int], columns: Sequence[Sequence[Any]], *, runs: bool) -> None:
-    """Add the marks of runs, or those of results to their runs', by the values that count, ids first.
+def _streamed(connection: Connection, query: Select[Any]) -> Iterator[list[Column]]:
+    for rows in connection.execute(query.execution_options(yield_per=_STREAMED)).partitions():
+        yield [Column.of(values) for values in zip(*rows, strict=True)]
 
-    They are the same in every process and whatever other rows there are.
+
+class RunBatch(NamedTuple):
+    """Rows of some runs, as columns.
+
+    Attributes:
+        part: their rows.
+        marks: of the runs.
+        left_out: those that can't be read.
     """
-    if not columns:
-        return
-    found = _row_marks(columns)
-    if runs:
-        marks.update(zip(columns[0], found, strict=True))
-        return
-    for run, mark in zip(columns[0], found, strict=True):
-        if run in marks:
-            # A sum, as results come in no order.
-            marks[run] = (marks[run] + mark) % MARKS
+
+    part: Part
+    marks: RunMarks
+    left_out: list[LeftOut]
 
 
-def _row_marks(columns: Sequence[Sequence[Any]]) -> list[int]:
-    """Return a number for each row that differs when one of its values does.
+class BatchReader:
+    """Reads runs of an archive some at a time.
 
-    Column by column: each value's number is turned by an odd factor of the column's own and added.
+    Args:
+        connection: the database.
     """
-    total = np.zeros(len(columns[0]), dtype=np.uint64)
-    for place, values in enumerate(columns):
-        numbers = _numbers_of(values)
-        total += (numbers ^ (numbers >> np.uint64(29))) * np.uint64(pow(FACTOR, 2 * place + 1, MARKS))
-    marks: list[int] = (total ^ (total >> np.uint64(32))).tolist()
-    return marks
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._shapes = _Shapes()
+        self._runs = schema.runs.c
+        names = (*_RUN, *_DOCUMENTS)
+        self._query = select(*(raw(connection, self._runs[name]) for name in names)).order_by(self._runs.id)
+
+    def all(self) -> list[RunBatch]:
+        """Return all runs; of large archives with the help of another process."""
+        ends = self._ends()
+        pieces = [(first, behind - 1) for first, behind in pairwise(ends)]
+        if len(pieces) < LEAST_HELPED or len(os.sched_getaffinity(0)) < 2:
+            return [self.between(*piece) for piece in pieces]
+        from slamhive.tables.helping import ReadingHelper  # noqa: PLC0415 - which reads by this module
+
+        found: dict[int, RunBatch] = {}
+        with ReadingHelper(self._connection.engine.url.render_as_string(hide_password=False)) as helper:
+            while len(found) + len(helper.asked) < len(pieces):
+                place = len(found) + len(helper.asked)
+                if len(helper.asked) < helper.AHEAD:
+                    helper.ask(place, *pieces[place])
+                elif helper.is_ready():
+                    found.update(helper.answers(self.between, pieces, 1))
+                else:
+                    found[place] = self.between(*pieces[place])
+            found.update(helper.answers(self.between, pieces, len(helper.asked)))
+        return [found[place] for place in range(len(pieces))]
+
+    def some(self, ids: Ids) -> Iterator[RunBatch]:
+        """Go through some runs."""
+        for start in range(0, len(ids), _SOME):
+            yield self._read(self._query.where(self._runs.id.in_(ids[start : start + _SOME].tolist())))
+
+    def between(self, first: int, last: int) -> RunBatch:
+        """Return the runs from one id to another."""
+        return self._read(self._query.where(self._runs.id.between(first, last)))
+
+    def _ends(self) -> list[int]:
+        """Return the id that each batch begins with, and one behind the last."""
+        numbered = select(self._runs.id, func.row_number().over(order_by=self._runs.id).label("n")).subquery()
+        firsts = select(numbered.c.id).where((numbered.c.n - 1) % BATCH == 0).order_by(numbered.c.id)
+        last = self._connection.execute(select(func.max(self._runs.id))).scalar()
+        return [] if last is None else [*self._connection.execute(firsts).scalars(), last + 1]
+
+    def _read(self, query: Select[Any]) -> RunBatch:
+        connection, shapes = self._connection, self._shapes
+        rows = connection.execute(query).all()
+        if not rows:  # removed meanwhile
+            return RunBatch(({}, 0), RunMarks.joined([]), [])
+        measured = _results(connection, [row[0] for row in rows])
+        runs = _columns(_turned(rows), (*_RUN, *_DOCUMENTS))
+        results = _columns(_turned(measured), (*_RESULT_CHANGES, "values"))
+        marks = RunMarks.of(
+            [_column(runs[name]) for name in ("id", *_CHANGES)],
+            [_column(results[name]) for name in _RESULT_CHANGES] if results else [],
+        )
+        try:
+            return RunBatch(_read(connection, runs, results, shapes), marks, [])
+        except UNREADABLE:
+            part, left_out = _read_some(connection, rows, measured, shapes)
+            return RunBatch(part, marks, left_out)
 
 
-def _numbers_of(values: Sequence[Any]) -> npt.NDArray[np.uint64]:
-    """Return a number for each value, the same in every process (``hash`` of a text is not)."""
-    if set(map(type, values)) <= {int, float, type(None)}:
-        return np.array(values, dtype=np.float64).view(np.uint64)
-    different = list(dict.fromkeys(values))
-    texts = np.array([short(str(value).encode("utf-8", "replace")) for value in different])
-    numbers = dict(zip(different, numbers_of_texts(texts).tolist(), strict=True))
-    numbers[None] = _NOTHING
-    return np.fromiter(map(numbers.__getitem__, values), np.uint64, len(values))
+def _columns(columns: Sequence[Sequence[Any]], names: Sequence[str]) -> dict[str, Any]:
+    """Return columns by name: what a table of runs has as it is there, all else as it was read."""
+    return {
+        name: Column.of(values) if name in _AS_COLUMNS else values
+        for name, values in zip(names, columns, strict=bool(columns))
+    }
 
 
-def _batches(connection: Connection, changed: Sequence[int] | None) -> Iterator[Sequence[Row[Any]]]:
-    """Go through runs by their ids, or through all of them."""
-    runs = schema.runs.c
-    columns = [raw(connection, runs[name]) for name in (*_RUN, *_DOCUMENTS)]
-    if changed is not None:
-        for start in range(0, len(changed), _SOME):
-            wanted = changed[start : start + _SOME]
-            yield connection.execute(select(*columns).where(runs.id.in_(wanted)).order_by(runs.id)).all()
-        return
-    last = 0
-    while rows := connection.execute(
-        select(*columns).where(runs.id > last).order_by(runs.id).limit(BATCH)
-    ).all():
-        yield rows
-        last = rows[-1].id
+def _column(values: Any) -> Column:
+    return values if isinstance(values, Column) else Column.of(values)
 
 
 def _results(connection: Connection, ids: Sequence[int]) -> Sequence[Any]:
@@ -276,12 +317,12 @@ class _Shapes:
         self, connection: Connection, held: Sequence[Any], left_out: frozenset[str] = frozenset()
     ) -> Spread:
         """Return documents as columns."""
-        self._meet(connection, {item[0] for item in held if is_divided(item)})
+        self._meet(connection, _numbers(held))
         return Spread.of(held, self.names, left_out)
 
     def joined(self, connection: Connection, held: Sequence[Any]) -> list[Any]:
         """Return documents as they were."""
-        self._meet(connection, {item[0] for item in held if is_divided(item)})
+        self._meet(connection, _numbers(held))
         return [join(self.parsed, item) for item in held]
 
     def _meet(self, connection: Connection, numbers: AbstractSet[int]) -> None:
@@ -290,6 +331,12 @@ class _Shapes:
             found = documents.read(connection, new)
             self.parsed.update(found)
             self.names.update({number: names_of(shape) for number, shape in found.items()})
+
+
+def _numbers(held: Sequence[Any]) -> set[int]:
+    """Return the numbers of the shapes of what rows hold."""
+    firsts = {item[0] for item in held if type(item) is list and item and type(item[0]) is int}
+    return {number for number in firsts if is_divided([number])}
 
 
 def _read_some(
@@ -303,7 +350,12 @@ def _read_some(
     gone = {one.number for one in left_out}
     kept, of_kept = ([row for row in table if row[0] not in gone] for table in (rows, measured))
     try:
-        return (_read(connection, _turned(kept), _turned(of_kept), shapes) if kept else ({}, 0)), left_out
+        if not kept:
+            return ({}, 0), left_out
+        runs = _columns(_turned(kept), (*_RUN, *_DOCUMENTS))
+        return _read(
+            connection, runs, _columns(_turned(of_kept), (*_RESULT_CHANGES, "values")), shapes
+        ), left_out
     except UNREADABLE as error:
         raise InputError(
             f"archive {shown(connection.engine.url)}: rows of it can't be read ({why(error)}); "
@@ -315,24 +367,33 @@ def _turned(rows: Sequence[Row[Any]]) -> list[Sequence[Any]]:
     return list(zip(*rows, strict=True))
 
 
-def _require_kinds(runs: dict[str, Any], measured: Sequence[Sequence[Any]]) -> None:
+def _require_kinds(runs: dict[str, Any], results: dict[str, Any]) -> None:
     """Check that columns hold what those of the tables are of: SQLite takes anything in any of them.
 
     Raises:
         TypeError, ValueError: one holds something else.
     """
-    results = dict(zip(_RESULT_CHANGES, measured, strict=False))
     for columns, table in ((runs, schema.runs), (results, schema.results)):
         for name, wanted in documents.kinds(table):
-            if isinstance(wanted, tuple) and not set(map(type, columns.get(name, ()))) <= {*wanted, _NONE}:
+            if isinstance(wanted, tuple) and not _types(columns.get(name, ())) <= {*wanted, _NONE}:
                 raise TypeError(f"{name}: expected {wanted[0].__name__}")
-    if not set(runs["phase"]) <= set(Phase) or not set(results.get("outcome", ())) <= set(Outcome):
+    outcomes = set(results.get("outcome", ()))
+    if not {*runs["phase"].values, None} <= {*Phase, None} or not outcomes <= set(Outcome):
         raise ValueError("a phase or an outcome that is none")
     for name in TIMES:
         held = [value for value in runs[name] if value is not None]
         first, behind = _WRITTEN if held and isinstance(held[0], str) else _MOMENTS
         if held and not first <= min(held) <= max(held) < behind:
             raise ValueError(f"{name}: a time that is none of a run")
+
+
+def _types(values: Any) -> set[type]:
+    """Return types that a column's values are of, or more of them than a table takes."""
+    if not isinstance(values, Column):
+        return set(map(type, values))
+    if values.kind.is_numeric:
+        return _TYPES[values.kind] if not values.is_empty else set()
+    return {str} if values.kind is ColumnKind.TEXT else set(map(type, values.values))
 
 
 def _require_documents(held: Sequence[Any], name: str) -> None:
@@ -346,15 +407,10 @@ def _require_documents(held: Sequence[Any], name: str) -> None:
         raise TypeError(f"{name}: a document that is none")
 
 
-def _read(
-    connection: Connection,
-    columns: Sequence[Sequence[Any]],
-    measured: Sequence[Sequence[Any]],
-    shapes: _Shapes,
-) -> Part:
+def _read(connection: Connection, whole: dict[str, Any], measured: dict[str, Any], shapes: _Shapes) -> Part:
     """Return the rows of some runs, with those of their results."""
-    whole: dict[str, Any] = dict(zip((*_RUN, *_DOCUMENTS), columns, strict=True))
     _require_kinds(whole, measured)
+    whole = dict(whole)
     for name in _DOCUMENTS:
         if name in _AS_THEY_ARE:
             whole[name] = _parsed(whole[name], partial(shapes.joined, connection))
@@ -363,7 +419,9 @@ def _read(
             held = _parsed(whole[name])
             _require_documents(held, name)
             whole[name] = shapes.spread(connection, held)
-    found = [list(column) for column in measured] or [[] for _ in range(5)]
+    found = [
+        list(measured.get(name, ())) for name in ("run_id", "evaluation", "outcome", "coverage", "values")
+    ]
     known = set(whole["id"])
     if not known.issuperset(found[0]):
         kept = [place for place, run in enumerate(found[0]) if run in known]
@@ -379,18 +437,11 @@ def _read(
     return part
 
 
-def _merge(
-    before: Frame,
-    changed: set[int],
-    marks: dict[int, int],
-    fresh: list[Part],
-    sweeps: tuple[SweepVersion, ...],
-) -> Frame:
+def _merge(before: Frame, stays: Any, fresh: list[Part], sweeps: tuple[SweepVersion, ...]) -> Frame:
+    """Return the rows that stay, by the ids of their runs, with fresh ones."""
     parts = list(fresh)
     if len(before):
-        ids = before.column("id").numbers
-        stays = np.fromiter(marks.keys() - changed, dtype=np.float64)
-        kept = before.select(np.isin(ids, stays))
+        kept = before.select(np.isin(before.column("id").numbers, stays))
         parts.insert(0, ({name: kept.column(name) for name in kept.stored}, len(kept)))
     bound(parts, before.stored, MAX_COLUMNS)
     columns, length = stack([part for part in parts if part[1]])

@@ -22,11 +22,12 @@ import numpy as np
 
 from slamhive import __version__
 from slamhive.analysis.columns import Column, ColumnKind
+from slamhive.analysis.compact.shapes import loads
+from slamhive.analysis.compact.texts import PackedTexts
 from slamhive.analysis.derived import SweepVersion, with_derived
 from slamhive.analysis.frame import DERIVED, Frame
-from slamhive.analysis.shapes import loads
-from slamhive.analysis.texts import PackedTexts
 from slamhive.model.leftout import LeftOut
+from slamhive.tables.marks import RunMarks
 
 VERSION = 11
 _SETTLED_NANOSECONDS = 2 * 10**9
@@ -40,14 +41,14 @@ class Loaded:
 
     Attributes:
         frame: one row a run and evaluation, in the order of storing.
-        marks: what each run looked like in short, by its id.
+        marks: what each run looked like in short.
         sweeps: the versions of sweeps; None where the columns that follow from them are missing.
         stamp: what the database's files looked like then; None where that says nothing.
         left_out: rows that can't be read.
     """
 
     frame: Frame = field(default_factory=lambda: Frame({}, 0))
-    marks: dict[int, int] = field(default_factory=dict)
+    marks: RunMarks = field(default_factory=lambda: RunMarks.joined([]))
     sweeps: tuple[SweepVersion, ...] | None = None
     stamp: tuple[int, ...] | None = None
     left_out: tuple[LeftOut, ...] = ()
@@ -94,8 +95,8 @@ def save(path: Path, loaded: Loaded) -> None:
     """Write a table; a disk that refuses is no fault."""
     frame = loaded.frame
     arrays: dict[str, Any] = {
-        "ids": np.fromiter(loaded.marks.keys(), np.int64, len(loaded.marks)),
-        "marks": np.fromiter(loaded.marks.values(), np.uint64, len(loaded.marks)),
+        "ids": loaded.marks.ids,
+        "marks": loaded.marks.marks,
     }
     described = []
     for number, name in enumerate(name for name in frame.stored if name not in DERIVED):
@@ -144,11 +145,11 @@ def keep(path: Path, loaded: Loaded, before: Loaded | None) -> bool:
         loaded: the table.
         before: what the file holds.
     """
-    known = before.marks if before is not None else {}
+    known = before.marks if before is not None else RunMarks.joined([])
     settled = loaded.stamp is not None and (before is None or loaded.stamp != before.stamp)
     if not settled and len(loaded.frame) < LEAST_ROWS:
         return False
-    if not settled and len(loaded.marks.items() - known.items()) <= len(loaded.marks) // 20:
+    if not settled and len(loaded.marks.changed_since(known)) <= len(loaded.marks) // 20:
         return False
     save(path, loaded)
     return True
@@ -190,7 +191,7 @@ def _read(path: Path) -> tuple[Loaded, tuple[SweepVersion, ...] | None] | None:
             for number, item in enumerate(head["columns"]):
                 values = arrays[f"v{number}"] if item["coded"] else None
                 columns[str(item["name"])] = _column(item, arrays[f"c{number}"], values, int(head["rows"]))
-            marks = dict(zip(arrays["ids"].tolist(), arrays["marks"].tolist(), strict=True))
+            marks = RunMarks(arrays["ids"], arrays["marks"])
             told, declared = head["sweeps"], dict(head["declared"])
             left_out = tuple(LeftOut(*one) for one in head["leftOut"])
             sweeps = None if told is None else tuple(SweepVersion(*one) for one in told)
