@@ -20,17 +20,26 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Self
 
 from slamhive.archive.connection import connect, reading
-from slamhive.tables.loading import BatchReader
-from slamhive.tables.uncollected import uncollected
+from slamhive.tables.batches import BatchReader, joined
+from slamhive.tables.uncollected import return_memory, uncollected
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from types import TracebackType
 
-    from slamhive.tables.loading import RunBatch
+    from sqlalchemy import Connection
+
+    from slamhive.tables.batches import RunBatch
+
+LEAST_HELPED = 10
+"""Batches from which on another process helps: it takes half a second to begin."""
+
+TOGETHER = 50
+"""Batches that become one as they are there."""
 
 _HEAD = struct.Struct("!Q")
 _PIPE_BYTES = 2**20
+_BOTH = 2
 
 
 class ReadingHelper:
@@ -112,6 +121,34 @@ class ReadingHelper:
         if self._process.stdin is not None:
             with suppress(OSError):  # it is gone: its answers are missing then
                 self._process.stdin.write(pickle.dumps(what))
+
+
+def read_all(connection: Connection, reader: BatchReader) -> list[RunBatch]:
+    """Return all runs of an archive; of a large one with the help of another process."""
+    pieces = reader.pieces()
+    if len(pieces) < LEAST_HELPED or len(os.sched_getaffinity(0)) < _BOTH:
+        return [reader.between(*piece) for piece in pieces]
+    with ReadingHelper(connection.engine.url.render_as_string(hide_password=False)) as helper:
+        return [
+            _read_together(reader, helper, pieces[start : start + TOGETHER])
+            for start in range(0, len(pieces), TOGETHER)
+        ]
+
+
+def _read_together(reader: BatchReader, helper: ReadingHelper, pieces: Sequence[tuple[int, int]]) -> RunBatch:
+    """Return some batches as one: a thousand small arrays leave holes in memory, large ones do not."""
+    found: dict[int, RunBatch] = {}
+    while (place := len(found) + len(helper.asked)) < len(pieces):
+        if len(helper.asked) < helper.AHEAD:
+            helper.ask(place, *pieces[place])
+        elif helper.is_ready():
+            found.update(helper.answers(reader.between, pieces, 1))
+        else:
+            found[place] = reader.between(*pieces[place])
+    found.update(helper.answers(reader.between, pieces, len(helper.asked)))
+    whole = joined([found.pop(place) for place in range(len(pieces))])
+    return_memory()
+    return whole
 
 
 def main() -> None:

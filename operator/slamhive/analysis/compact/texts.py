@@ -117,7 +117,8 @@ def short(text: bytes) -> bytes:
 def numbers_of_texts(texts: Bytes) -> Numbers:
     """Return a number for each text, the same in every process, of its words of 8 bytes: of many at once."""
     width = -(-texts.dtype.itemsize // 8) or 1
-    words = np.ascontiguousarray(texts.astype(f"S{8 * width}")).view(np.uint64).reshape(len(texts), width)
+    padded = np.ascontiguousarray(texts.astype(f"S{8 * width}", copy=False))
+    words = padded.view(np.uint64).reshape(len(texts), width)
     total = np.char.str_len(texts).astype(np.uint64)
     for place in range(width):
         turned = (words[:, place] ^ (words[:, place] >> np.uint64(31))) * np.uint64(FACTOR)
