@@ -546,7 +546,7 @@ declare namespace Api {
     ratio: number;
     low: number | null;
     high: number | null;
-    verdict: 'slower' | 'faster' | 'equal' | 'unsure';
+    verdict: string;
     sentence: string;
   };
   type Nodes = { items: NodeStanding[]; notes: string[] };

@@ -15,8 +15,8 @@ const ADDRESS = '/api/v1/analysis/suspects';
 export const useSuspects = () => useData(ADDRESS).data?.items ?? [];
 
 /**
- * Return sentences on nodes that measure another load than others of their kind, where load is shown; [] until
- * they are known.
+ * Return sentences on nodes that measure another load than others of their kind, where load is shown; []
+ * until they are known.
  * @param {string[]} columns that are shown
  * @returns {string[]}
  */
@@ -24,9 +24,10 @@ export function useUnlikeNodes(columns) {
   const isLoad = columns.some((name) => name.startsWith('usage.'));
   /** @type {Api.NodeStanding[]} */
   const nodes = useData(isLoad ? `${ADDRESS}/nodes` : null).data?.items ?? [];
-  return nodes
-    .filter((one) => one.verdict === 'slower' || one.verdict === 'faster')
-    .map((one) => `${one.sentence}; loads of all nodes are shown together`);
+  /** @param {string} verdict */
+  const named = (verdict) => nodes.filter((one) => one.verdict === verdict).map((one) => one.sentence);
+  const slower = named('slower');
+  return slower.length > 0 ? slower : named('faster');
 }
 
 /**

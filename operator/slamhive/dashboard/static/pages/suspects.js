@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/** What runs are measured by and is the likelier one to be wrong: calibrations, nodes, and the ground truth. */
+/** What runs are measured by and is the likelier one to be wrong: calibrations, nodes, ground truth. */
 import { nodesChart, suspectChart } from '../charts/spread.js';
 import { truthChart } from '../charts/truth.js';
 import { address, useAddress } from '../core/address.js';
