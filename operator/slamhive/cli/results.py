@@ -27,6 +27,7 @@ from slamhive.cli.onerun import note_runs, show_run
 from slamhive.cli.parts.choosing import Also, EvaluationName, Output, Superseded, Where, choose_runs
 from slamhive.cli.parts.console import complain, listing, open_workbench, out, remark
 from slamhive.cli.parts.exits import FAILED
+from slamhive.cli.parts.nodes import show_nodes
 from slamhive.cli.parts.robustness import show_robustness
 from slamhive.cli.parts.tables import PrintFormat, show, show_columns, write_json, write_markdown
 from slamhive.cli.parts.waiting import Work
@@ -372,6 +373,7 @@ def measure(
 
 
 app.command("suspects")(show_suspects)
+app.command("nodes")(show_nodes)
 app.command("robustness")(show_robustness)
 app.command("prune")(prune)
 

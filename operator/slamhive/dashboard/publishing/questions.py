@@ -135,6 +135,7 @@ def general(names: Mapping[str, Sequence[str]]) -> Iterator[str]:
             if kind == "sweeps":
                 yield address(f"{API}/{kind}/{escaped(name)}/search")
     yield from (f"{API}/evaluations", f"{ANALYSIS}/suspects", f"{ANALYSIS}/suspects/truth")
+    yield f"{ANALYSIS}/suspects/nodes"
 
 
 def views(columns: AskedColumns, sweeps: Sequence[str]) -> list[View]:
@@ -155,7 +156,7 @@ def of_view(view: View, columns: AskedColumns) -> Iterator[str]:
     for name in ("importance", "repeatability"):
         yield address(f"{ANALYSIS}/{name}", *view, ("metric", ERROR))
     of_sweep = bool(view) and view[0][0] == "sweep"
-    for name in ("robustness", "suspects", *(["timeline"] if of_sweep or not view else [])):
+    for name in ("robustness", "suspects", "suspects/nodes", *(["timeline"] if of_sweep or not view else [])):
         yield address(f"{ANALYSIS}/{name}", *view)
     yield address(f"{ANALYSIS}/versions", *view, ("metric", ERROR), tracked)
     if columns.rows <= MANY:
