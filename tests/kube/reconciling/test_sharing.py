@@ -49,8 +49,13 @@ def pods_of(op: Operator, namespace: str, name: str = "study") -> list[dict[str,
 
 async def end_some(lab: Lab, op: Operator, namespace: str, name: str = "study", count: int = 1) -> None:
     """Have some runs of a Sweep end well."""
-    running = [pod for pod in pods_of(op, namespace, name) if pod["status"]["phase"] == "Running"]
-    names = {pod["metadata"]["name"] for pod in running[:count]}
+
+    def running() -> list[str]:
+        pods = pods_of(op, namespace, name)
+        names = [pod["metadata"]["name"] for pod in pods if pod["status"]["phase"] == "Running"]
+        return names[:count] if len(names) >= count else []
+
+    names = {*await until(running, "pods to run")}
     for pod in names:
         lab.cluster.end_pod(pod, namespace, moment_of(Play(), "run"))  # type: ignore[union-attr]
     await until(

@@ -247,11 +247,13 @@ class SlotSharing:
         reused = {one.run["metadata"]["uid"] for one in look.memory.finished.values() if one.reused}
         flights = {label_value(one.name): one.began for one in account.times.flying.values()}
         ended = {label_value(one.name) for one in account.times.look(active, reused, now)}
-        # Who has ended had a node too, if only for a moment, unless it is cancelled.
-        found = (placed | ended) - account.placed - account.waiting.keys()
+        # Who has ended had a node too, if only for a moment, but for those that were cancelled meanwhile.
+        found = (placed | (ended - account.waiting.keys())) - account.placed
+        drained = not waiting and bool(found & account.waiting.keys())
         refused = waiting.keys() - account.waiting.keys()
         account.overtaken = account.overtaken if waiting else 0
         self._overtake(uid, [flights.get(name, now) for name in found])
+        used, before = self._held(), account.waiting.keys()
         account.waiting, account.placed = waiting, placed
         account.window, account.called = look.window, None
         account.contender = replace(
@@ -261,7 +263,8 @@ class SlotSharing:
             weight=look.sweep.spec.weight,
         )
         if self._felt is not None:
-            self._felt.note(len(found), len(refused), self._held())
+            at_once = len(found - before)
+            self._felt.note(at_once, len(refused), used, self._held(), is_drained=drained)
         return account
 
     def _standing(
