@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 import shutil
+import signal
 import subprocess
 import sys
 import zipfile
@@ -16,6 +18,7 @@ import pytest
 
 from furnishing import furnish
 from slamhive.archive import Archive
+from slamhive.bridges.bundles import verifying
 from slamhive.data.files import unpacking
 from slamhive.local.home.folder import Home
 
@@ -138,6 +141,25 @@ def test_figures_that_were_made_up_are_named(
     assert told[-1]["differ"] == 1
 
 
+@pytest.mark.parametrize("able", [1, 0])
+def test_runs_that_take_too_much_together_are_computed_one_by_one(
+    *, able: int, elsewhere: Path, study: Path, run_command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer = verifying.Recomputing.__call__
+
+    def greedy(self: verifying.Recomputing, tasks: list[Any], truths: dict[str, Any]) -> Any:
+        if len(tasks) > able:
+            os.kill(os.getpid(), signal.SIGXCPU)
+        return answer(self, tasks, truths)
+
+    monkeypatch.setattr(verifying.Recomputing, "__call__", greedy)
+    monkeypatch.setattr(verifying, "_GROUPS", 1)
+    code, out, _ = run_command("verify", study, "-j", "1", "--json")
+    *lines, total = json.loads(out)
+    assert code == total["differ"] / 2 == len(lines) / 2 == 1 - able
+    assert {one["recomputed"] for one in lines} <= {"it takes more than 600 s of CPU time"}
+
+
 BROKEN: dict[str, dict[str, bytes | None]] = {
     "lacks a file": {"{trajectory}": None},
     "lacks the crate": {"ro-crate-metadata.json": None},
@@ -159,6 +181,9 @@ def broken(rezip: Callable[..., Path], kind: str, trajectory: str, folder: Path)
     if kind == "other":
         with zipfile.ZipFile(path, "w") as archive:
             archive.writestr("readme.txt", "x")
+    elif kind == "rare":
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_BZIP2) as archive:
+            archive.writestr("study.json", "{}")
     else:
         path.write_text("no archive")
     return path
@@ -179,7 +204,8 @@ def broken(rezip: Callable[..., Path], kind: str, trajectory: str, folder: Path)
         ("a wrong field", "study.json: name: Input should be a valid string, found '3'"),
         ("a wrong name", "run.json: algorithm: Field required"),
         ("other", "has no study.json: it is no bundle of slamhive bundle"),
-        ("text", "text.zip: is damaged, or no archive"),
+        ("text", "text.zip: is damaged, or no zip file"),
+        ("rare", "rare.zip: study.json: is encrypted or packed in a rare way: refused"),
     ],
 )
 def test_what_is_no_bundle_is_refused_by_name(

@@ -32,6 +32,7 @@ from slamhive.kube.builders import (
 )
 from slamhive.kube.builders.common import passed_on
 from slamhive.kube.builders.player import player
+from slamhive.kube.builders.sending import sender_job
 from slamhive.kube.builders.variant import variant_request
 from slamhive.kube.settings import PreparationJobs, Settings
 from slamhive.model.algorithm import TEXT_LIMIT, Algorithm
@@ -322,6 +323,26 @@ def test_every_pod_gets_the_runtime_class(name: str, monkeypatch: pytest.MonkeyP
     made = settings
     monkeypatch.setitem(globals(), "settings", lambda **pods: made(**pods | {"runtimeClassName": "gvisor"}))
     assert JOBS[name]()["spec"]["template"]["spec"]["runtimeClassName"] == "gvisor"
+
+
+def test_a_run_with_its_node_for_itself_is_kept_from_all_other_runs_whatever_pods_are_given() -> None:
+    def apart(**pods: Any) -> dict[str, Any]:
+        resources = {"exclusiveNodes": True}
+        return built(pods=pods, resources=resources)["spec"]["template"]["spec"]["affinity"]
+
+    rule = "requiredDuringSchedulingIgnoredDuringExecution"
+    [term] = apart()["podAntiAffinity"][rule]
+    labels = built()["spec"]["template"]["metadata"]["labels"]
+    assert term["labelSelector"]["matchLabels"].items() <= labels.items()
+    assert (term["namespaceSelector"], term["topologyKey"]) == ({}, "kubernetes.io/hostname")
+    node, other = {"nodeAffinity": {rule: {}}}, {"topologyKey": "zone"}
+    given = node | {"podAntiAffinity": {rule: [other]}}
+    assert apart(affinity=given) == node | {"podAntiAffinity": {rule: [other, term]}}
+    for pods, left in (({}, None), ({"affinity": node}, node), ({"affinity": given}, given)):
+        like = built(pods=pods, resources={"exclusiveNodes": True})["spec"]["template"]["spec"]
+        # Who fetches its files is no run, and waits for none.
+        assert sender_job("lab", "s", like)["spec"]["template"]["spec"].get("affinity") == left
+    assert "affinity" not in built(resources={"exclusiveNodes": False})["spec"]["template"]["spec"]
 
 
 def test_queues_labels_are_handed_on_and_no_others() -> None:

@@ -3,7 +3,7 @@
 
 Figures are over tracked runs unless asked otherwise; beside them stand the number of runs, what became of
 those that don't count, and the coverage. What must never be averaged together (algorithms, datasets,
-evaluations, settings, paces, processors, versions) becomes a key by itself where it varies.
+evaluations, settings, paces, processors and their clocks, versions) becomes a key by itself where it varies.
 docs/results.md, "What counts", says the same in words.
 """
 
@@ -49,7 +49,16 @@ FACETS = (
 ORIGIN = "origin"
 """Column of whose runs are, in tables that hold runs of somebody else."""
 
-LOAD_FACETS = ("provenance.cpuModel", "usage.includesReader", ORIGIN)
+PROCESSOR = "provenance.cpuModel"
+"""Column of the model of a run's processor."""
+
+CONDITIONS = (
+    PROCESSOR,
+    *(f"provenance.machine.{name}" for name in ("smt", "governor", "turbo", "exclusiveCores")),
+)
+"""Columns of what says what a CPU second is: `engine.LoadConditions`."""
+
+LOAD_FACETS = (*CONDITIONS, "usage.includesReader", ORIGIN)
 """Columns that are never pooled where a figure of load is asked for."""
 
 MEMORY_FACETS = ("usage.memory.kind",)
@@ -61,6 +70,7 @@ OWNERS = {
     "evaluationVersion": "evaluation",
     "algorithm.version": "algorithm",
     "dataset.version": "dataset",
+    **dict.fromkeys(CONDITIONS[1:], PROCESSOR),
 }
 """Facets that need not be told where they follow from another one."""
 
@@ -202,6 +212,14 @@ def aggregate(
     notes += copy_notes(sum(cell.copies for cell in cells), metrics) + reader_notes(frame, metrics)
     notes += chosen_notes(frame) + origin_notes(frame)
     return Aggregate(groups.names, tuple(facets), tuple(metrics), cells, members, tuple(notes))
+
+
+def condition_words(names: Sequence[str]) -> str:
+    """Return the words for runs whose load some columns tell apart: ``of different processors``."""
+    unlike = [name for name in CONDITIONS if name in names]
+    if PROCESSOR in unlike:
+        return "of different processors"
+    return f"with different {' and '.join(measure_of(name).text for name in unlike)}" if unlike else ""
 
 
 def pooling_notes(pooled: Sequence[str]) -> list[str]:

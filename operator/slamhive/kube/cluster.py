@@ -22,7 +22,7 @@ from slamhive.kube.pods import has_ended
 from slamhive.kube.queue import Queue
 from slamhive.kube.refused_pods import RefusedPods
 from slamhive.kube.routing import is_news, routes
-from slamhive.kube.status import status_patch
+from slamhive.kube.status import patched, status_patch
 from slamhive.kube.store import Store
 from slamhive.model.status import Status
 
@@ -194,7 +194,7 @@ class Cluster:
         return self.apply(key.kind, answer)
 
     async def patch_seen(
-        self, kind: Kind, seen: Object, body: Object, *, subresource: str | None = None
+        self, kind: Kind, seen: Object, body: Object, *, subresource: str | None = None, untold: bool = False
     ) -> Object:
         """Patch the very version of an object that was looked at.
 
@@ -206,13 +206,24 @@ class Cluster:
             seen: the object as it was read.
             body: the merge patch.
             subresource: as ``Api.patch`` takes it.
+            untold: whether its status is written in the store alone, now and from now on: for what nobody
+                reads at the object, as it is archived and deleted at once.
 
         Raises:
             Conflict: it has changed since.
             NotFound: it is gone.
         """
+        if subresource == "status" and (untold or self.store.is_untold(seen)):
+            return self._write_untold(kind, seen, body["status"])
         metadata = {**body.get("metadata", {}), "resourceVersion": seen["metadata"]["resourceVersion"]}
         return await self.patch(key_of(kind, seen), {**body, "metadata": metadata}, subresource=subresource)
+
+    def _write_untold(self, kind: Kind, seen: Object, patch: Object) -> Object:
+        kept = self.store.keep_untold(kind, seen, patched(seen.get("status") or {}, patch))
+        if kept is None:
+            raise Conflict(f"{key_of(kind, seen)} has changed since it was looked at", status=409)
+        self._enqueue(routes(kind, kept, self.store))
+        return kept
 
     async def write_status(
         self,
@@ -220,6 +231,8 @@ class Cluster:
         seen: Object,
         status: Status | Object | None = None,
         conditions: Iterable[Object] = (),
+        *,
+        untold: bool = False,
     ) -> Object | None:
         """Write what is new of an object's status, in one patch with its conditions.
 
@@ -229,6 +242,7 @@ class Cluster:
             status: the fields that are given in it are written; those that are None are removed. Long lists
                 of which hardly anything is new are given as the API holds them.
             conditions: as ``condition`` makes them.
+            untold: as ``patch_seen`` takes it.
 
         Returns:
             The object as it is then; None where nothing was new.
@@ -237,7 +251,7 @@ class Cluster:
         patch = status_patch(seen, fields, conditions, self.clock())
         if not patch:
             return None
-        return await self.patch_seen(kind, seen, {"status": patch}, subresource="status")
+        return await self.patch_seen(kind, seen, {"status": patch}, subresource="status", untold=untold)
 
     async def amend(
         self,

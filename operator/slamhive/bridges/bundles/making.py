@@ -185,7 +185,7 @@ class _BundleMaking:
             kept = anonymous_record(kept)
         run = BundledRun(record=kept, algorithm=algorithm, dataset=dataset, subject=subject)
         self._runs.append(run)
-        self._write_json(f"runs/{record.name}/{contents.RUN}", run.as_json())
+        self._write_json(contents.run_file(record.name, contents.RUN), run.as_json())
         self.report.runs += 1
 
     def write(self, output: Path, records: Sequence[RunRecord]) -> None:
@@ -326,7 +326,7 @@ class _BundleMaking:
         for name in contents.MEASURED:
             try:
                 with open_below(str(output), name) as descriptor, os.fdopen(os.dup(descriptor), "rb") as file:
-                    target = self._place(f"runs/{run}/{name}")
+                    target = self._place(contents.run_file(run, name))
                     with target.open("wb") as copy:
                         shutil.copyfileobj(file, copy)
             except (FileNotFoundError, NotRegularError):

@@ -53,6 +53,7 @@ from slamhive.cli.running import (
     algorithms_of,
     tell_of,
 )
+from slamhive.engine import LoadConditions
 from slamhive.local.home.catalog import load_workshop
 from slamhive.local.home.folder import Home
 from slamhive.local.home.sweeping import require_own_name
@@ -209,12 +210,13 @@ def _record(
     cells = [cell for one in rows for cell in one.cells.values()]
     for sentence in (sentence for one in rows for sentence in one.faults):
         remark(sentence)
-    models = set().union(*(one.processors for one in rows))
+    shared = LoadConditions.common(set().union(*(one.conditions for one in rows))) or LoadConditions(None)
     if not cells:
         remark("no run has finished: nothing is recorded")
         return FAILED
     made = Baseline(
-        processor=models.pop() if len(models) == 1 else None,
+        processor=shared.processor,
+        machine=shared.machine,
         recorded=f"{datetime.now(UTC):%Y-%m-%d}",
         version=__version__,
         cells=cells,

@@ -15,7 +15,7 @@ from slamhive.analysis.gating.figures import (
     MARGINS,
     GateFigure,
 )
-from slamhive.analysis.grouping import where_equal
+from slamhive.analysis.grouping import CONDITIONS, where_equal
 from slamhive.analysis.measuring import settings_hash
 from slamhive.cli.parts.checked import check_files
 from slamhive.cli.parts.console import (
@@ -25,6 +25,7 @@ from slamhive.cli.parts.exits import INTERRUPTED
 from slamhive.cli.parts.planning import planned
 from slamhive.cli.parts.progress import Naming
 from slamhive.cli.running import drive, measure_all
+from slamhive.engine import LoadConditions
 from slamhive.local.running.choosing import RunChoice
 from slamhive.local.running.runner import Job
 from slamhive.model.base import NAME_LIMIT
@@ -186,14 +187,14 @@ class GateRows:
     Attributes:
         cells: by row of the plan.
         faults: sentences on runs in whose way the machine was.
-        processors: models.
+        conditions: those that load was measured under.
         reused: number of results that were taken over.
         disturbed: number of runs beside other work.
     """
 
     cells: dict[int, BaselineCell]
     faults: list[str]
-    processors: set[str]
+    conditions: set[LoadConditions]
     reused: int
     disturbed: int
 
@@ -216,7 +217,7 @@ def collect(test: GateSweep, bench: Workbench, columns: Iterable[str]) -> GateRo
         "alignment",
         "dataset",
         "provenance.datasetSha256",
-        "provenance.cpuModel",
+        *CONDITIONS,
         "provenance.reusedFrom",
         "usage.memory.kind",
         "disturbed",
@@ -266,8 +267,8 @@ def collect(test: GateSweep, bench: Workbench, columns: Iterable[str]) -> GateRo
                 if not all(math.isnan(of[line]) for line in lines)
             },
         )
-    models = {model for model in about["provenance.cpuModel"] if model is not None}
-    return GateRows(cells, faults, models, reused, disturbed)
+    conditions = {LoadConditions(*row) for row in zip(*(about[name] for name in CONDITIONS), strict=True)}
+    return GateRows(cells, faults, conditions - {LoadConditions(None)}, reused, disturbed)
 
 
 def number_or_none(value: float) -> float | None:

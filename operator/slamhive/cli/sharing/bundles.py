@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from slamhive.bridges.bundles.contents import MEASURED
 from slamhive.bridges.bundles.making import BundleOrder, bundle
 from slamhive.bridges.bundles.opening import opened_bundle
 from slamhive.bridges.bundles.repeating import (
@@ -133,7 +134,7 @@ def verify_bundle(
     Example: slamhive verify study.zip --repeat 2
     """
     home = Home.from_environment()
-    with opened_bundle(file) as opened:
+    with opened_bundle(file, later=MEASURED) as opened:
         bench = open_workbench(home)
         with bench.archive:
             with Work(f"verifying {file.name}") as work:

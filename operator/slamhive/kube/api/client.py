@@ -163,6 +163,38 @@ class Api(Transport):
         answer = await self.json(request, attempts=1)
         return [*(answer.get("items") or ())]
 
+    async def quotas(self, namespace: str) -> Objects:
+        """Return the ResourceQuotas of a namespace.
+
+        Raises:
+            Forbidden: the account may not see them.
+        """
+        return await self._others(
+            "resourcequotas", f"/api/v1/namespaces/{namespace}/resourcequotas", namespace
+        )
+
+    async def nodes(self) -> Objects:
+        """Return the cluster's nodes.
+
+        Raises:
+            Forbidden: the account may not see them.
+        """
+        return await self._others("nodes", "/api/v1/nodes", "of the cluster")
+
+    async def priority_classes(self) -> Objects:
+        """Return the cluster's PriorityClasses.
+
+        Raises:
+            Forbidden: the account may not see them.
+        """
+        path = "/apis/scheduling.k8s.io/v1/priorityclasses"
+        return await self._others("priorityclasses.scheduling.k8s.io", path, "of the cluster")
+
+    async def _others(self, resource: str, path: str, target: str) -> Objects:
+        """Return all objects of a kind that the operator doesn't watch; few are expected."""
+        answer = await self.json(Request("list", resource, target, "GET", path), attempts=1)
+        return [*(answer.get("items") or ())]
+
     async def served(self, group: str, version: str) -> frozenset[str]:
         """Return the plurals of the resources of a group and version; none when the group is not there."""
         path = f"/apis/{group}/{version}"

@@ -14,7 +14,7 @@ import json
 import re
 from typing import TYPE_CHECKING, Any
 
-from slamhive.kube.api.kinds import MANAGER, Label
+from slamhive.kube.api.kinds import MANAGER, Label, Role
 from slamhive.model.base import GROUP, queue_of
 from slamhive.model.errors import InputError
 
@@ -236,6 +236,29 @@ def pod_spec(settings: Settings) -> Manifest:
         "serviceAccountName": pods.service_account_name,
     }
     return body | {key: value for key, value in optional.items() if value}
+
+
+_APART, _REQUIRED = "podAntiAffinity", "requiredDuringSchedulingIgnoredDuringExecution"
+_FROM_RUNS = {
+    "labelSelector": {"matchLabels": {Label.ROLE.value: Role.RUN.value}},
+    "namespaceSelector": {},
+    "topologyKey": "kubernetes.io/hostname",
+}
+"""Term that keeps a pod off nodes with runs of any namespace, and runs that come later off its own."""
+
+
+def away_from_runs(affinity: Mapping[str, Any]) -> Manifest:
+    """Return an affinity with which a pod shares its node with no run."""
+    apart = affinity.get(_APART) or {}
+    return {**affinity, _APART: {**apart, _REQUIRED: [*(apart.get(_REQUIRED) or ()), _FROM_RUNS]}}
+
+
+def beside_runs(affinity: Mapping[str, Any]) -> Manifest:
+    """Return the affinity of a run's pod without what keeps it away from runs."""
+    apart = dict(affinity.get(_APART) or {})
+    apart[_REQUIRED] = [term for term in apart.get(_REQUIRED) or () if term != _FROM_RUNS]
+    found = {**affinity, _APART: {name: terms for name, terms in apart.items() if terms}}
+    return {name: rules for name, rules in found.items() if rules}
 
 
 def job(

@@ -18,8 +18,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.kube.records import NOT_EVALUABLE, problems_noted
-from slamhive.kube.status import condition, rmse_of
-from slamhive.model.results import Outcome
+from slamhive.kube.routing import may_select
+from slamhive.kube.status import condition, holds, phase_of, rmse_of
+from slamhive.model.results import Outcome, Phase
 from slamhive.model.status import MOST_RESULTS, EvaluationStatus
 
 if TYPE_CHECKING:
@@ -109,6 +110,22 @@ def problem_of(group: EvaluationGroup, run: Mapping[str, Any]) -> str | None:
 def is_missing(group: EvaluationGroup, run: Mapping[str, Any]) -> bool:
     """Tell whether a run is still to be measured by a group."""
     return not group.has_result(run) and problem_of(group, run) is None
+
+
+def is_owed(run: Object, evaluations: Iterable[Object]) -> bool:
+    """Tell whether one of some Evaluations has still to measure a run that has ended."""
+    status = run["status"]
+    if phase_of(status) is not Phase.SUCCEEDED or not status.get("trajectory"):
+        return False
+    done = {item["evaluation"] for item in status.get("results") or ()} | problems_noted(run).keys()
+    return any(
+        may_select(one, run)
+        and (name := one["metadata"]["name"]) not in done
+        and not one["metadata"].get("deletionTimestamp")
+        and holds(one.get("status") or {}, "Accepted") is not False
+        and not is_full(run, name)
+        for one in evaluations
+    )
 
 
 def is_full(run: Mapping[str, Any], evaluation: str | None) -> bool:

@@ -109,7 +109,7 @@ class RunReconciler:
         self._catalogue = catalogue
         self._evaluations = evaluations
         self._reusable = reusable
-        self._recorder = RunRecorder(catalogue, evaluations, reusable)
+        self._recorder = RunRecorder(catalogue, evaluations, reusable, has_archive=keeper is not None)
         self._waiting: set[Key] = set()
         self._resolved: dict[Key, _Resolved] = {}
         self._keeper = keeper
@@ -167,7 +167,7 @@ class RunReconciler:
         known = self._resolved.get(key)
         if known is None or known.uid != uid:
             resolved = resolve({name: spec[name] for name in spec if name != "cancel"}, algorithm, dataset)
-            if not state.attempts:
+            if not state.attempts and not _is_of_sweep(run):
                 _insist_on_effects(resolved, algorithm, dataset)
             wanted = Wanted.by(resolved, algorithm, dataset)
             known = self._resolved[key] = _Resolved(uid, resolved, spec_hash(resolved), wanted)
@@ -409,8 +409,13 @@ def _seen(
     return observe_lost(state.attempts, was_interrupted=interrupted)
 
 
+def _is_of_sweep(run: dict[str, Any]) -> bool:
+    """Tell whether a Sweep made a run, whose spec holds what takes effect alone."""
+    return any(owner.get("kind") == Kind.SWEEP for owner in owners_of(run))
+
+
 def _insist_on_effects(spec: dict[str, Any], algorithm: Algorithm, dataset: Dataset) -> None:
-    """Refuse what a recording can't give; a Sweep's runs hold what takes effect already.
+    """Refuse what a recording can't give.
 
     Raises:
         InputError: one sentence a line.

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 from slamhive.engine import PointState
 from slamhive.kube.reconciling.archiving import at_its_end, in_thread
-from slamhive.kube.reconciling.sweep_runs import Finished, state_of
+from slamhive.kube.reconciling.sweep_runs import Finished, is_archive_only, state_of
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Mapping
+    from collections.abc import Container, Iterable, Mapping
 
     from slamhive.archive import Archive
     from slamhive.kube.api.kinds import Object
@@ -60,7 +60,7 @@ async def take_out(
         memory.kept.versions.pop(uid, None)
         memory.kept.retired.discard(uid)
         # Another operator deletes none of those that are to keep their objects.
-        if retired or (kept and left >= retention):
+        if retired or (kept and (left >= retention or is_archive_only(run))):
             memory.archived.add(Finished.of(run))
             continue
         memory.deleted[index] = Finished.of(run)
@@ -68,6 +68,26 @@ async def take_out(
         memory.lost |= set() if kept else {index}
         names.append(run["metadata"]["name"])
     return names
+
+
+async def archived_by_others(
+    memory: SweepMemory, archive: Archive | None, uid: str, missing: Iterable[int]
+) -> bool:
+    """Tell whether the archive has runs that were in flight when they were last seen here.
+
+    Args:
+        memory: what is remembered of the Sweep.
+        archive: where finished runs are kept, if anywhere.
+        uid: the Sweep's.
+        missing: points whose runs are gone.
+
+    Raises:
+        ArchiveAway: the archive does not answer.
+    """
+    if archive is None:
+        return False
+    names = [memory.plan.point(index).name for index in missing]
+    return any(record.sweep_uid == uid for record in await in_thread(archive.by_names, names))
 
 
 def give_up(memory: SweepMemory, index: int) -> str:

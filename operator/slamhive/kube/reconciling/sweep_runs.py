@@ -32,10 +32,15 @@ ASKED = "slamhive.io/asked"
 """Annotation of runs whose spec holds what took effect: the input options that were asked for, as JSON."""
 SAME_AS = "slamhive.io/same-as"
 """Annotation of runs that ask for what another run of their Sweep has: its name, whose result they take."""
+ARCHIVE_ONLY = "slamhive.io/archive-only"
+"""Annotation of runs beyond their Sweep's retention, whose objects are told neither of their end nor of their
+result: the archive is, and the objects go."""
 OWN_PREFIX = "slamhive.io/"
 
 
-def run_body(sweep: dict[str, Any], point: Point, slot: int, twin: str | None = None) -> dict[str, Any]:
+def run_body(
+    sweep: dict[str, Any], point: Point, slot: int, twin: str | None = None, *, archive_only: bool = False
+) -> dict[str, Any]:
     """Return the MappingRun of a point.
 
     Args:
@@ -43,6 +48,7 @@ def run_body(sweep: dict[str, Any], point: Point, slot: int, twin: str | None = 
         point: the point.
         slot: number of its place among those in flight.
         twin: name of the run that asks for the same and was done before, if any.
+        archive_only: whether it is beyond the retention.
     """
     meta = sweep["metadata"]
     given = (sweep["spec"].get("template") or {}).get("metadata") or {}
@@ -59,6 +65,7 @@ def run_body(sweep: dict[str, Any], point: Point, slot: int, twin: str | None = 
     own = {} if kept else {FILES: "Delete"}
     own |= {ASKED: json.dumps(point.asked)} if point.asked else {}
     own |= {SAME_AS: twin} if twin else {}
+    own |= {ARCHIVE_ONLY: "true"} if archive_only else {}
     return {
         "apiVersion": Kind.MAPPING_RUN.api_version,
         "kind": str(Kind.MAPPING_RUN),
@@ -73,6 +80,11 @@ def run_body(sweep: dict[str, Any], point: Point, slot: int, twin: str | None = 
         },
         "spec": spec,
     }
+
+
+def is_archive_only(run: Mapping[str, Any]) -> bool:
+    """Tell whether a run is beyond its Sweep's retention, so that the archive alone will have its result."""
+    return annotations_of(run).get(ARCHIVE_ONLY) == "true"
 
 
 def asked_of(run: Mapping[str, Any]) -> dict[str, Any]:
