@@ -155,7 +155,7 @@ class Turns:
             place = (one.priority, one.namespace)
             held[place] = held.get(place, 0) + one.held
         fairs: dict[str | tuple[int, str], float] = dict(division.sweeps.items())
-        fairs |= division.namespaces
+        fairs |= dict(division.namespaces)
         self.owed = {
             key: self.owed.get(key, 0.0) + seconds * _short(fairs[key], count) for key, count in held.items()
         }
