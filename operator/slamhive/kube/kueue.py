@@ -42,7 +42,7 @@ def is_suspended(job: Object | None) -> bool:
 
 
 def suspended_or_resumed(job: Object | None) -> float | None:
-    """Return when a Job was last suspended or let go on, s since 1970; None where it never was."""
+    """Return the time at which a Job was last suspended or let go on, s since 1970; None: it never was."""
     return moment((condition(job or {}, "Suspended") or {}).get("lastTransitionTime"))
 
 

@@ -186,8 +186,10 @@ class MappingRunStatus(Status):
     attempts: _Count | None = optional("Attempts made so far.")
     faults: _Count | None = optional("Faults of the machine that attempts met.")
     judged: _Count | None = optional("Number of the last attempt whose fault is counted.")
-    disruptions: _Count | None = optional("Pods that evictions, preemptions or lost nodes took.")
-    disrupted_pod: _Line | None = optional("UID of the last pod that is counted among them.")
+    disruptions: _Count | None = optional("Pods that evictions, preemptions, queues or lost nodes took.")
+    disrupted_pod: _Line | None = optional(
+        "UID of the last pod among them; of its Job, and the time, where nobody saw it go."
+    )
     not_before: _Time | None = optional("When another attempt may begin.")
     variant: _Line | None = optional("Prepared form of the dataset that it reads.")
     folder: _Path | None = optional("Its folder on the results volume.")
