@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,7 @@ import numpy as np
 from slamhive.analysis.grouping import CONDITIONS, FACETS, PROCESSOR, Groups, varying, where_equal
 from slamhive.analysis.measures import measure_of
 from slamhive.analysis.selection import first_rows
-from slamhive.analysis.statistics import LEVEL, edges
+from slamhive.analysis.statistics import LEVEL, bounds
 from slamhive.model.base import Choice
 from slamhive.model.results import Phase
 
@@ -288,7 +289,8 @@ def _standing(name: Any, kind: dict[str, Any], runs: _Runs, node: int, margin: f
     mine = runs.node == node
     runs = runs.only(np.isin(runs.setting, runs.setting[mine]))
     mine = runs.node == node
-    spans = edges(np.unique(runs.setting, return_inverse=True)[1].reshape(-1), len(np.unique(runs.setting)))
+    settings, places = np.unique(runs.setting, return_inverse=True)
+    spans = [*pairwise(bounds(places.reshape(-1), len(settings)).tolist())]
     quotients, weights, wide, heaviest = [], [], 0.0, 0.0
     for begin, end in spans:
         here = mine[begin:end]
