@@ -50,6 +50,7 @@ DEFAULTS: Object = {
     "include": [],
     "repetitions": 1,
     "retention": {"files": "Keep", "runs": 1000},
+    "weight": 1,
     "search": {
         "aggregate": "Mean",
         "atATime": 4,
