@@ -29,8 +29,10 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parents[1] / "archive"))
 
 from servers import postgresql
+from sqlalchemy import text
 
-from slamhive.archive import Archive, CatalogEntry, SweepRecord
+from slamhive.archive import Archive, CatalogEntry, SweepRecord, schema
+from slamhive.archive.connection import open_engine, parse
 from slamhive.model.results import Outcome, Phase, Reason, Result, RunRecord
 
 RUNS = 80_000
@@ -185,6 +187,41 @@ def fill(url: str, count: int) -> None:
         archive.put_runs(make_record(number) for number in range(count))
 
 
+def multiply(url: str, wanted: int) -> None:
+    """Bring PostgreSQL to a number of runs: copies with content and trajectories of their own."""
+    other = "md5(random()::text || r.id) || md5(random()::text)"
+    own = {
+        "id": "r.id + :shift",
+        "point": "r.point + :shift",
+        "uid": "gen_random_uuid()::text",
+        "content_hash": "h.content",
+        "name": "r.name || '-' || :shift",
+        "folder": "r.folder || '-' || :shift",
+        "provenance": "replace(r.provenance::text, r.content_hash, h.content)::json",
+        "trajectory": """regexp_replace(r.trajectory::text, '"[0-9a-f]{64}"', '"' || h.track || '"')::json""",
+    }
+    names = [column.name for column in schema.runs.columns]
+    into = ", ".join(f'"{name}"' for name in names)
+    values = ", ".join(own.get(name, f'r."{name}"') for name in names)
+    found = ", ".join(f'"{column.name}"' for column in schema.results.columns)
+    copied = found.replace('"run_id"', "run_id + :shift")
+    engine = open_engine(parse(url))
+    with engine.begin() as connection:
+        begun: int = connection.execute(text("SELECT max(id) FROM runs")).scalar_one()
+        for shift in range(begun, wanted, begun):
+            given = {"shift": shift, "most": min(begun, wanted - shift)}
+            hashes = f"LATERAL (SELECT {other} AS content, {other} AS track) h"
+            connection.execute(
+                text(f"INSERT INTO runs ({into}) SELECT {values} FROM runs r, {hashes} WHERE r.id <= :most"),
+                given,
+            )
+            connection.execute(
+                text(f"INSERT INTO results ({found}) SELECT {copied} FROM results WHERE run_id <= :most"),
+                given,
+            )
+    engine.dispose()
+
+
 class Server:
     """A dashboard in a process of its own."""
 
@@ -322,6 +359,7 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=RUNS)
     parser.add_argument("--keep", type=Path, help="SQLite file to keep the runs in, or to find them in")
     parser.add_argument("--only", choices=("sqlite", "postgresql"))
+    parser.add_argument("--copied", type=int, help="bring PostgreSQL to so many runs by copies: 1000000")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         file = options.keep or Path(folder) / "archive.sqlite"
@@ -335,6 +373,8 @@ def main() -> int:
                     print("PostgreSQL · not installed · apt-get install postgresql", flush=True)
                 else:
                     fill(server.url, options.runs)
+                    if options.copied:
+                        multiply(server.url, options.copied)
                     measure("PostgreSQL", server.url, Path(folder) / "postgresql")
     return 0
 

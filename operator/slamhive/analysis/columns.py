@@ -367,7 +367,8 @@ class Column:
             uniques, codes = np.unique(self._numbers, return_inverse=True)
             values = [None if value != value else self.plain(value) for value in uniques.tolist()]  # noqa: PLR0124
             return codes.astype(np.int32), values
-        used, codes = renumbered(self._codes.astype(np.int32) + 1, len(self.values) + 1)
+        used, codes = renumbered(self._codes, len(self.values))
+        used = used + 1
         if self.kind.is_numeric:
             if len(used) and used[0] == 0:  # what is missing comes last
                 used, codes = np.append(used[1:], 0), np.where(codes == 0, len(used), codes) - 1
@@ -380,6 +381,14 @@ class Column:
         ranks = np.empty(len(values), dtype=np.int32)
         ranks[order] = np.arange(len(values), dtype=np.int32)
         return ranks[codes], [values[place] for place in order]
+
+    def counted(self) -> tuple[Floats, Indices]:
+        """Return the different numbers of a numeric column, in their order, and how many rows have each."""
+        if not self.is_coded:
+            return np.unique(self._numbers[self.present], return_counts=True)
+        counts = np.bincount(self._codes[self.present], minlength=len(self.values))
+        used = np.flatnonzero(counts)
+        return self.values[used], counts[used]
 
     def ranks(self) -> Floats:
         """Return numbers, (n,), in the order of ``sort_key``; +inf where missing."""
@@ -442,15 +451,21 @@ def renumbered(
     The same as NumPy's ``unique``, several times as fast where few numbers are possible.
 
     Args:
-        numbers: whole numbers from 0, (n,).
+        numbers: whole numbers from 0, -1 for what is missing, (n,).
         bound: above all of them.
     """
     if bound > 4 * len(numbers) + 1024:
         used, places = np.unique(numbers, return_inverse=True)
         return used.astype(np.int64), places.astype(np.int64)
-    occurs = np.zeros(bound, dtype=bool)
-    occurs[numbers] = True
-    return np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[numbers]
+    occurs = np.zeros(bound + 1, dtype=bool)
+    occurs[numbers] = True  # the last one is that of what is missing
+    if occurs[:-1].all() and not occurs[-1]:
+        return np.arange(bound), numbers.astype(np.int64, copy=False)
+    used = np.flatnonzero(occurs[:-1])
+    ranks = np.cumsum(occurs[:-1]) - 1
+    if occurs[-1]:
+        used, ranks = np.concatenate([[-1], used]), np.append(ranks + 1, 0)
+    return used, ranks[numbers]
 
 
 def count_distinct(numbers: npt.NDArray[Any]) -> int:

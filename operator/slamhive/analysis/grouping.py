@@ -653,8 +653,9 @@ def varies(frame: Frame, name: str) -> bool:
 
 
 def _differs(column: Column, example: Indices) -> bool:
-    if not column.kind.is_numeric:
-        return bool((column.codes != column.codes[example]).any())
+    held = column.held
+    if column.is_coded:
+        return bool((held != held[0]).any()) and bool((held != held[example]).any())
     other = column.numbers[example]
     same = (column.numbers == other) | (np.isnan(column.numbers) & np.isnan(other))
     return not same.all()

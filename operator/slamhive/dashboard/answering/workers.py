@@ -18,7 +18,7 @@ import signal
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import aclosing, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from slamhive.dashboard.answering.forking import BEGUN, BLOCK, END, MEMORY, MISTAKE, REFUSED, blocks, fork
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, Callable, Iterable
 
 T = TypeVar("T")
+
+ROW_BYTES = 256
+"""Bytes for each row of the table that an answer may take, where that is more than its budget of memory."""
 
 _BUFFER = 2**18
 _LOOK_SECONDS = 0.2
@@ -55,6 +58,10 @@ class AnswerBudget:
     cpu_seconds: int = 10
     seconds: float = 30.0
     memory: int = 64 * 2**20
+
+    def of(self, rows: int) -> AnswerBudget:
+        """Return the budget for a table of so many rows: figures of each are some numbers for a while."""
+        return replace(self, memory=max(self.memory, ROW_BYTES * rows))
 
 
 @dataclass(frozen=True)
@@ -186,19 +193,20 @@ class AnswerWorkers:
             computing.exception()  # if nobody waits any more, nobody need hear of it
         self._leave("inside")
 
-    async def compute(self, work: Callable[[], T], client: str = "") -> T:
+    async def compute(self, work: Callable[[], T], client: str = "", rows: int = 0) -> T:
         """Return the result of a function, computed in a worker.
 
         Args:
             work: computes; what it returns can be pickled.
             client: address of who asks.
+            rows: of the table that it goes through.
 
         Raises:
             Problem: what the function raised; or its budget is used up; or too many are waiting.
         """
         await self._enter("short", client)
         found = bytearray()
-        one = self._run(lambda: [pickle.dumps(work(), pickle.HIGHEST_PROTOCOL)], client, "short")
+        one = self._run(lambda: [pickle.dumps(work(), pickle.HIGHEST_PROTOCOL)], client, "short", rows)
         async with aclosing(one) as parts:
             async for part in parts:
                 found += part
@@ -284,10 +292,10 @@ class AnswerWorkers:
         return float(seconds * 0.5 ** ((now - when) / _HALVED_SECONDS))
 
     async def _run(
-        self, work: Callable[[], Iterable[bytes]], client: str, lane: str
+        self, work: Callable[[], Iterable[bytes]], client: str, lane: str, rows: int = 0
     ) -> AsyncGenerator[bytes, None]:
         """Go through the blocks of a worker; its place is given back when it is gone."""
-        budget = self._limits.stream if lane == "streams" else self._limits.answer
+        budget = (self._limits.stream if lane == "streams" else self._limits.answer).of(rows)
         loop = asyncio.get_running_loop()
         try:
             pid, pipe = fork(work, budget.cpu_seconds, budget.memory)

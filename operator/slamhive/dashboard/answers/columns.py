@@ -39,7 +39,7 @@ def heading(frame: Frame, name: str, among: Collection[str] = ()) -> dict[str, A
         metric = Metric.parse(name) if ":" not in name else Metric(name, "", 1.0)
         return {
             "name": name,
-            "kind": str(frame.column(name).kind),
+            "kind": str(frame.glance(name).kind),
             "title": metric.title_among(among),
             "label": metric.label_among(among),
             "unit": metric.unit or None,
@@ -50,12 +50,11 @@ def heading(frame: Frame, name: str, among: Collection[str] = ()) -> dict[str, A
 
 def profile(frame: Frame, name: str) -> dict[str, Any]:
     """Return a column's heading with how many rows have it, its range and its values where they are few."""
-    column = frame.column(name)
+    column = frame.glance(name)
     described = heading(frame, name) | {"count": int(column.present.sum()), "group": group_of(name)}
     if column.kind.is_numeric:
-        known = column.numbers[column.present]
-        uniques, counts = np.unique(known, return_counts=True)
-        if len(known):
+        uniques, counts = column.counted()
+        if len(uniques):
             ends = (column.plain(float(uniques[0])), column.plain(float(uniques[-1])))
             described |= {"min": ends[0], "max": ends[1]}
         values = [column.plain(value) for value in uniques[:_MAX_DISTINCT].tolist()]

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.analysis.compact.texts import PackedTexts
 from slamhive.analysis.grouping import SUBJECT, varying
 from slamhive.analysis.measures import CONFIGURATION
 from slamhive.analysis.selection import first_rows
@@ -80,7 +81,7 @@ def _fitting(frame: Frame, words: list[str]) -> Mask:
             continue
         own = name.lower()
         column = frame.glance(name)
-        texts = None if column.kind.is_numeric else [str(value).lower() for value in column.values]
+        texts = None if column.kind.is_numeric else _lower(column.values)
         for fit, word in zip(fits, words, strict=True):
             asked, equals, value = word.partition("=")
             if equals:
@@ -94,13 +95,24 @@ def _fitting(frame: Frame, words: list[str]) -> Mask:
     return found
 
 
-def _holding(column: Column, texts: list[str] | None, word: str, *, whole: bool) -> Mask:
+def _lower(values: Any) -> Any:
+    if isinstance(values, PackedTexts):
+        return np.strings.lower(values.data)
+    return [str(value).lower() for value in values]
+
+
+def _holding(column: Column, texts: Any, word: str, *, whole: bool) -> Mask:
     """Tell which values hold a word, (n,): as a part of a text unless as the whole, numbers as they are."""
     mask: Mask
     if texts is None:
         mask = column.numbers == _number(word)
         return mask
-    verdicts = [word == text if whole else word in text for text in texts]
+    verdicts: Any
+    if isinstance(texts, np.ndarray):
+        searched = word.encode("utf-8", "replace")
+        verdicts = texts == searched if whole else np.strings.find(texts, searched) >= 0
+    else:
+        verdicts = [word == text if whole else word in text for text in texts]
     mask = np.array([*verdicts, False], dtype=bool)[column.codes]
     return mask
 

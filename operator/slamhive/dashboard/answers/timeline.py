@@ -138,8 +138,8 @@ def timeline(
 def _with_what_goes_on(snapshot: Snapshot) -> Frame:
     """Return the runs that ended, and below them those of a workstation that are at work."""
     frame = snapshot.frame
-    ended = set(frame.column("uid").tolist())
-    at_work = [run for run in snapshot.at_work if run["uid"] not in ended]
+    ended = frame.column("uid")
+    at_work = [run for run in snapshot.at_work if not ended.among((run["uid"],)).any()]
     if not at_work:
         return frame
     values: dict[str, Sequence[Any]] = {"id": [-1 - number for number in range(len(at_work))]}
@@ -162,7 +162,7 @@ def _spans(frame: Frame, clock: Callable[[], float], notes: list[str]) -> Spans:
         )
         frame = frame.select(~taken)
     created, start, end = (frame.column(name).floats() for name in ("created", "started", "finished"))
-    live = ~_among(frame, "phase", _FINISHED)
+    live = ~frame.column("phase").among(_FINISHED)
     begin = np.fmin(created, start)
     end = np.where(np.isnan(end) & live & ~np.isnan(begin), clock(), end)
     known = ~np.isnan(begin) & (end >= begin)
@@ -170,7 +170,7 @@ def _spans(frame: Frame, clock: Callable[[], float], notes: list[str]) -> Spans:
         notes.append(f"of {int((~known).sum())} runs nobody noted when they ran: they are left out")
         frame = frame.select(known)
         begin, start, end, live = begin[known], start[known], end[known], live[known]
-    failed = _among(frame, "status", _FAILURES)
+    failed = frame.column("status").among(_FAILURES)
     lane, lanes = _lanes(frame, begin, end)
     if len(lanes) > MOST_LANES:
         notes.append(f"of {len(lanes)} lanes the {MOST_LANES} first are drawn: filter the runs by node")
@@ -182,14 +182,6 @@ def _spans(frame: Frame, clock: Callable[[], float], notes: list[str]) -> Spans:
 
 _FINISHED = frozenset(phase.value for phase in Phase if phase.is_finished)
 _FAILURES = frozenset(reason.value for reason in Reason if reason is not Reason.CANCELLED)
-
-
-def _among(frame: Frame, name: str, words: frozenset[str]) -> Mask:
-    """Tell which rows have one of some words in a column, (n,)."""
-    codes, values = frame.column(name).factorized()
-    verdicts = np.array([*(value in words for value in values), False], dtype=bool)
-    mask: Mask = verdicts[codes]
-    return mask
 
 
 def _lanes(frame: Frame, begin: Floats, end: Floats) -> tuple[npt.NDArray[np.intp], list[str]]:

@@ -103,7 +103,7 @@ class PublishedRuns:
 class _Within:
     """Workers' part, done here and now: nobody else waits."""
 
-    async def compute(self, work: Callable[[], T], _: str = "") -> T:
+    async def compute(self, work: Callable[[], T], client: str = "", rows: int = 0) -> T:  # noqa: ARG002
         return work()
 
     async def stop(self) -> None:

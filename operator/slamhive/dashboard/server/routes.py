@@ -9,7 +9,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.dashboard.answering.encoding import Format, choose_format
 from slamhive.dashboard.answers import analysis, many_runs
-from slamhive.dashboard.server.costs import MOST_COMPETITORS, costs_little
+from slamhive.dashboard.server.costs import MOST_COMPETITORS, MOST_PAGED, costs_little
 from slamhive.dashboard.server.service import service_of
 
 Where = Annotated[
@@ -93,7 +93,7 @@ async def runs(
             limit=limit or many_runs.DEFAULT_LIMIT,
             after=after,
         ),
-        lambda data: costs_little(data, request.url.query),
+        lambda data: costs_little(data, request.url.query, most_rows=MOST_PAGED),
     )
 
 

@@ -180,7 +180,7 @@ class Service:
         client = client_of(request)
 
         async def material(snapshot: Snapshot) -> ResultMaterial:
-            chosen = await self.workers.compute(lambda: meant(snapshot), client)
+            chosen = await self.workers.compute(lambda: meant(snapshot), client, len(snapshot.frame))
             return await self.run(lambda: common_support.material(self.source, chosen))
 
         return await self.answer_with(request, material, compute)
@@ -212,7 +212,7 @@ class Service:
             client = client_of(request)
             if little is not None and little(snapshot):
                 return await self.workers.compute_inside(work, client)
-            return await self.workers.compute(work, client)
+            return await self.workers.compute(work, client, len(snapshot.frame))
 
         key = (snapshot.revision, request.url.path, request.url.query, form)
         answer = await self._remembered(key, make, request)
