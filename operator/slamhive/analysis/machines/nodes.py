@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,7 @@ import numpy as np
 from slamhive.analysis.grouping import CONDITIONS, FACETS, PROCESSOR, Groups, varying, where_equal
 from slamhive.analysis.measures import measure_of
 from slamhive.analysis.selection import first_rows
-from slamhive.analysis.statistics import LEVEL, edges
+from slamhive.analysis.statistics import LEVEL, bounds
 from slamhive.model.base import Choice
 from slamhive.model.results import Phase
 
@@ -173,7 +174,7 @@ def compare_nodes(frame: Frame) -> NodeComparison:
         return NodeComparison([], [*notes, f"all runs were on one node, {names[0]}: nothing to compare"])
     settings = Groups(frame, [*CONDITIONS, *_KEPT, *varying(frame)])
     kinds = Groups(frame, CONDITIONS)
-    runs = _shared(_Runs.of(frame, settings.of_row, codes.astype(np.intp)))
+    runs = _shared(_NodeRuns.of(frame, settings.of_row, codes.astype(np.intp)))
     if not len(runs.row):
         return NodeComparison([], [*notes, "no setting ran on several nodes of the same kind"])
     runs, left_out = _bounded(runs)
@@ -202,7 +203,7 @@ def _measured(frame: Frame) -> npt.NDArray[np.bool_]:
 
 
 @dataclass(frozen=True)
-class _Runs:
+class _NodeRuns:
     """Runs that are compared, sorted by setting; all arrays (n,).
 
     Attributes:
@@ -220,7 +221,7 @@ class _Runs:
     age: Indices
 
     @classmethod
-    def of(cls, frame: Frame, setting: Indices, node: Indices) -> _Runs:
+    def of(cls, frame: Frame, setting: Indices, node: Indices) -> _NodeRuns:
         finished = np.nan_to_num(frame.column("finished").floats(), nan=-np.inf)
         order = np.lexsort((-finished, node, setting))
         cell = setting[order] * (int(node.max()) + 1) + node[order]
@@ -229,14 +230,14 @@ class _Runs:
         value = np.log(frame.column(LOAD).floats()[order])
         return cls(order, setting[order], node[order], value, age)
 
-    def only(self, which: npt.NDArray[np.bool_]) -> _Runs:
+    def only(self, which: npt.NDArray[np.bool_]) -> _NodeRuns:
         """Return some of them."""
-        return _Runs(
+        return _NodeRuns(
             self.row[which], self.setting[which], self.node[which], self.value[which], self.age[which]
         )
 
 
-def _shared(runs: _Runs) -> _Runs:
+def _shared(runs: _NodeRuns) -> _NodeRuns:
     """Return the runs of settings that ran on several nodes."""
     if not len(runs.row):
         return runs
@@ -246,7 +247,7 @@ def _shared(runs: _Runs) -> _Runs:
     return runs.only(np.repeat(several, sizes))
 
 
-def _bounded(runs: _Runs) -> tuple[_Runs, list[str]]:
+def _bounded(runs: _NodeRuns) -> tuple[_NodeRuns, list[str]]:
     """Return the newest runs of each setting and node, and say which others are left out."""
     for most in (MOST_EACH, 10, 5, 3, 2, 1):
         kept = runs.only(runs.age < most)
@@ -266,7 +267,9 @@ def _bounded(runs: _Runs) -> tuple[_Runs, list[str]]:
 _NEWEST = "of each setting the newest run on a node counts"
 
 
-def _standings(names: Sequence[Any], kind: dict[str, Any], runs: _Runs, margin: float) -> list[NodeStanding]:
+def _standings(
+    names: Sequence[Any], kind: dict[str, Any], runs: _NodeRuns, margin: float
+) -> list[NodeStanding]:
     """Return the standings of the nodes of a kind; those that are slower are no measure for the others."""
     first = {node: _standing(names[node], kind, runs, node, margin) for node in np.unique(runs.node).tolist()}
     slow = [node for node, one in first.items() if one.verdict is NodeVerdict.SLOWER]
@@ -275,7 +278,7 @@ def _standings(names: Sequence[Any], kind: dict[str, Any], runs: _Runs, margin: 
     return [*(first | {node: _standing(names[node], kind, sound, node, margin) for node in again}).values()]
 
 
-def _standing(name: Any, kind: dict[str, Any], runs: _Runs, node: int, margin: float) -> NodeStanding:
+def _standing(name: Any, kind: dict[str, Any], runs: _NodeRuns, node: int, margin: float) -> NodeStanding:
     """Return a node's standing among the runs of its kind.
 
     Args:
@@ -288,7 +291,8 @@ def _standing(name: Any, kind: dict[str, Any], runs: _Runs, node: int, margin: f
     mine = runs.node == node
     runs = runs.only(np.isin(runs.setting, runs.setting[mine]))
     mine = runs.node == node
-    spans = edges(np.unique(runs.setting, return_inverse=True)[1].reshape(-1), len(np.unique(runs.setting)))
+    settings, places = np.unique(runs.setting, return_inverse=True)
+    spans = [*pairwise(bounds(places.reshape(-1), len(settings)).tolist())]
     quotients, weights, wide, heaviest = [], [], 0.0, 0.0
     for begin, end in spans:
         here = mine[begin:end]

@@ -15,7 +15,7 @@ import re
 from typing import TYPE_CHECKING, Any
 
 from slamhive.kube.api.kinds import MANAGER, Label, Role
-from slamhive.model.base import GROUP
+from slamhive.model.base import GROUP, queue_of
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -90,6 +90,13 @@ def passed_on(values: Mapping[str, str] | None, settings: Settings) -> dict[str,
     allowed = settings.passed_labels
     prefixes = tuple(name for name in allowed if name.endswith("/"))
     return {key: value for key, value in (values or {}).items() if key in allowed or key.startswith(prefixes)}
+
+
+def _queue(labels: Mapping[str, str]) -> str | None:
+    try:
+        return queue_of(labels)
+    except ValueError as error:
+        raise InputError(f"metadata.labels: {error}") from None
 
 
 def annotation(text: str, what: str) -> str:
@@ -269,6 +276,8 @@ def job(
 ) -> Manifest:
     """Return a Job of one pod that is never repeated, but for what takes a pod from outside.
 
+    One whose labels name a queue is made suspended.
+
     Args:
         namespace: where it goes.
         name: its name.
@@ -282,7 +291,7 @@ def job(
         ttl_seconds: how long it stays when it has finished; None: as long as its owners.
 
     Raises:
-        InputError: the annotations don't fit into an object.
+        InputError: the annotations don't fit into an object, or no queue can have the name that they have.
     """
     ours = {str(Label.MANAGED_BY): MANAGER} | {key: label_value(value) for key, value in labels.items()}
     all_labels = dict(passed_labels or {}) | ours
@@ -313,6 +322,9 @@ def job(
             "spec": pod,
         },
     }
+    if _queue(all_labels) is not None:
+        # Whoever keeps the queue starts it; nobody here ever does.
+        spec["suspend"] = True
     if ttl_seconds is not None:
         spec["ttlSecondsAfterFinished"] = ttl_seconds
     return {"apiVersion": "batch/v1", "kind": "Job", "metadata": metadata, "spec": spec}

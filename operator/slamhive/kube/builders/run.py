@@ -108,6 +108,18 @@ def _as_yaml(text: str) -> str:
     return str(yaml.dump(json.loads(text), Dumper=_Dumper, sort_keys=False, allow_unicode=True))
 
 
+def least_requests(resources: Mapping[str, Any], settings: Settings) -> dict[str, float]:
+    """Return what a run's pod asks a node for at least, by resource: a player may come on top.
+
+    Args:
+        resources: ``resources`` of its resolved spec.
+        settings: the operator's.
+    """
+    monitor = _MONITOR_RESOURCES["requests"]
+    asked = {name: quantity(monitor[name]) + quantity(resources[name]) for name in ("cpu", "memory")}
+    return asked | ({settings.pods.gpu_resource: float(gpus)} if (gpus := resources.get("gpu")) else {})
+
+
 def job_name(run: str, attempt: int) -> str:
     """Return the name of an attempt's Job."""
     return joined_name(run, str(attempt))

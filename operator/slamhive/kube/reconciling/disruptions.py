@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Disruptions of a run: evictions, preemptions, drains and lost nodes, counted in its status. Pure.
 
-A Job replaces a pod that was taken so, at first after 10 s, then later each time, up to 10 min. No retry is
-used up by it; a run that is taken again and again ends with a reason of its own.
+A Job replaces a pod that was taken so, at first after 10 s, then later each time, up to 10 min; one that a
+queue suspended, when the queue lets it in again. No retry is used up by it; a run that is taken again and
+again ends with a reason of its own.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import AttemptEnd, AttemptState
+from slamhive.kube.kueue import QUEUE_WAITS
 from slamhive.kube.observing import DISRUPTED, NO_POD
 from slamhive.kube.reports import clean
 from slamhive.model.results import Reason
@@ -55,6 +57,10 @@ class Disruptions:
         if self.count >= MOST_DISRUPTIONS and attempted.state is AttemptState.RUNNING:
             end = AttemptEnd(reason=Reason.DISRUPTED, message=f"{self.sentence}: no more are borne")
             return waits._replace(end=end)
+        held = attempted.waiting
+        if self.count and held is not None and held.reason == QUEUE_WAITS and (self.is_news or waiting):
+            told = waiting or held
+            return waits._replace(waiting=replace(told, message=clean(f"{told.message}; {self.sentence}")))
         if not self.count or waiting is None or not is_gone:
             return waits
         cause = f"{waiting.message}; " if waiting.reason == DISRUPTED else ""

@@ -25,6 +25,7 @@ from slamhive.engine import (
 from slamhive.kube.api.errors import REFUSALS, AlreadyExists, Conflict
 from slamhive.kube.api.kinds import Key, Kind, Label, Object, key_of, labels_of, owner_uids
 from slamhive.kube.builders.common import label_value
+from slamhive.kube.kueue import QUEUE_WAITS
 from slamhive.kube.pods import live_pods
 from slamhive.kube.reconciling.archiving import ArchiveAway, Keeper, in_thread
 from slamhive.kube.reconciling.catalogue import parse
@@ -32,6 +33,7 @@ from slamhive.kube.reconciling.evaluation_groups import SWEEP_PREFIX
 from slamhive.kube.reconciling.reuse import ReusableRuns
 from slamhive.kube.reconciling.sweep_losses import (
     announcement,
+    archived_by_others,
     are_missing,
     give_up,
     remark,
@@ -44,13 +46,17 @@ from slamhive.kube.reconciling.sweep_runs import (
     decode_points,
     encode_points,
     free_slot,
+    held_back,
+    is_archive_only,
     point_of,
     run_body,
     slots_used,
     standing_still,
     state_of,
+    why_held_back,
 )
 from slamhive.kube.reconciling.sweep_search import Asker, written_trials
+from slamhive.kube.reconciling.sweep_sharing import SlotSharing, SweepLook
 from slamhive.kube.reconciling.sweep_state import SweepMemory, remember
 from slamhive.kube.status import condition, holds, iso, metres, moment, phase_of, status_patch
 from slamhive.model.base import seconds
@@ -103,6 +109,12 @@ class _SweepPicture:
     tally: SweepTally
 
     @property
+    def active(self) -> list[Object]:
+        """Return its runs in flight, in the order of its points."""
+        states = self.memory.states
+        return [run for index, run in sorted(self.runs.items()) if states[index] == PointState.ACTIVE]
+
+    @property
     def settled(self) -> list[Object]:
         """Return its live runs of which nothing more will be written."""
         finished = self.memory.finished
@@ -131,6 +143,7 @@ class SweepReconciler:
         self._asker = Asker(sampler or Sampler())
         self._reusable = reusable or ReusableRuns(catalogue, archive)
         self._keeper = Keeper(catalogue, archive) if archive is not None else None
+        self._sharing = SlotSharing(archive)
         self._memory: dict[str, SweepMemory] = {}
         self._parsed: dict[str, tuple[int, Sweep]] = {}
         self._waiting: set[Key] = set()
@@ -151,6 +164,7 @@ class SweepReconciler:
             again = await self._reconcile(cluster, key, body)
         except ArchiveAway as error:
             self._archive_away[body["metadata"]["uid"]] = str(error)
+            self._sharing.rest(body["metadata"]["uid"])
             await _tell_archive(cluster, key, condition("ArchiveUnavailable", True, "NoAnswer", str(error)))
             return _AWAY_SECONDS
         seen = cluster.store.get(key) or body
@@ -165,6 +179,7 @@ class SweepReconciler:
             memory = await self._remembered(cluster, key, body, sweep)
         except InputError as error:
             self._waiting.add(key)
+            self._sharing.rest(body["metadata"]["uid"])
             await self._refuse(cluster, body, str(error))
             return None
         if body["metadata"].get("generation", 1) != (body.get("status") or {}).get("observedGeneration"):
@@ -193,6 +208,7 @@ class SweepReconciler:
             for namespace in cluster.settings.namespaces
             for body in cluster.store.of(Kind.SWEEP, namespace)
         }
+        self._sharing.leave(cluster, *(uid for uid in self._sharing.known if uid not in alive))
         for uid in [uid for uid in self._memory if uid not in alive]:
             memory = self._memory.pop(uid)
             try:
@@ -237,6 +253,8 @@ class SweepReconciler:
         if known is not None and known.search is not None and known.search.search != sweep.spec.search:
             del self._memory[uid]  # it is to try more
         if uid not in self._memory:
+            if self._keeper is not None:
+                await self._keeper.recall(cluster, _own(cluster, key, uid))
             live = [run for run in _own(cluster, key, uid) if point_of(run) is not None]
             accepted = bool(holds(body["status"], "Accepted"))
             catalog = self._catalogue.all(cluster.store, key.namespace)
@@ -304,6 +322,9 @@ class SweepReconciler:
             there = await cluster.refresh(key)
             if there is None or there["metadata"]["uid"] != uid or there["metadata"].get("deletionTimestamp"):
                 raise Conflict(f"{key} is being deleted", status=409)
+        if missing and await archived_by_others(memory, self._archive, uid, missing):
+            del self._memory[uid]
+            raise Conflict(f"{key}: another operator has archived runs of it", status=409)
         names = await take_out(memory, self._archive, sweep.spec.retention.runs, runs)
         names += [give_up(memory, index) for index in missing]
         take_back(memory, runs)
@@ -314,6 +335,7 @@ class SweepReconciler:
     async def _drive_window(self, cluster: Cluster, seen: _SweepPicture, now: float) -> float | None:
         """Start or stop what is due, write what changed, and archive what is done."""
         memory, sweep = seen.memory, seen.sweep
+        _note_start(seen, now)
         leaving = _leaving(cluster, seen)
         window = sweep.spec.parallelism or cluster.settings.default_parallelism
         room = max(0, window - len(leaving))
@@ -324,23 +346,37 @@ class SweepReconciler:
             decision = _decide(seen, room, now)
         memory.cursor = decision.cursor
         unmade: str | None = None
+        due: tuple[int, ...] = ()
         for action in decision.actions:
             match action:
-                case StartPoints() if self._is_held_back(seen, window):
-                    pass
-                case StartPoints(indices):
+                case StartPoints(indices) if not self._is_held_back(seen, window):
                     unmade = self._backlog(cluster, seen, window)
-                    unmade = unmade or await self._start(cluster, seen, indices, now)
+                    due = () if unmade else indices
                 case StopPoints(indices):
                     await self._cancel(cluster, [seen.runs[index] for index in indices if index in seen.runs])
+        look = SweepLook(seen.key, sweep, memory, seen.runs, len(leaving), window, len(due))
+        turn = await self._sharing.turn(cluster, look, now)
+        memory.share = turn.share
+        if turn.starts:
+            unmade = await self._start(cluster, seen, due[: turn.starts], now)
+            begun = [seen.runs[index] for index in due[: turn.starts] if index in seen.runs]
+            self._sharing.begun(seen.body["metadata"]["uid"], begun, now)
+        if unmade:
+            self._sharing.rest(seen.body["metadata"]["uid"])
         delays = [_BLOCKED_SECONDS] if unmade or unsought else []
         delays += [_LEAVING_SECONDS] if leaving else []
-        still = standing_still(seen.runs, cluster.failing)
-        blocked = "\n".join(filter(None, (unsought, unmade, still)))
+        delays += [turn.delay] if turn.delay is not None else []
+        active = seen.active
+        still = standing_still(active, cluster.failing)
+        queued = held_back(active)
+        refused, refusal = turn.blocked or ("", None)
+        blocked = "\n".join(filter(None, (refusal, unsought, unmade, still, queued)))
         words = (
+            (refusal, refused),
             (unsought, "CannotSearch"),
             (unmade, "CannotCreate"),
             (still, "RunsStandStill"),
+            (queued, QUEUE_WAITS),
             (True, "Free"),
         )
         word = next(word for told, word in words if told)
@@ -420,19 +456,29 @@ class SweepReconciler:
             seen.memory.started_at = now
         used = slots_used([*seen.runs.values(), *_leaving(cluster, seen)])
         limit = asyncio.Semaphore(_AT_ONCE)
+        retained = sum(not is_archive_only(run) for run in seen.runs.values())
+        room = seen.sweep.spec.retention.runs - retained if self._archive is not None else len(indices)
 
-        async def create(index: int, slot: int) -> str | None:
+        async def create(index: int, slot: int, *, archive_only: bool) -> str | None:
             async with limit:
-                return await self._create(cluster, seen, index, slot)
+                return await self._create(cluster, seen, index, slot, archive_only=archive_only)
 
-        told = await asyncio.gather(*(create(index, free_slot(used)) for index in indices))
+        told = await asyncio.gather(
+            *(
+                create(index, free_slot(used), archive_only=number >= room)
+                for number, index in enumerate(indices)
+            )
+        )
         return next((problem for problem in told if problem), None)
 
     @staticmethod
-    async def _create(cluster: Cluster, seen: _SweepPicture, index: int, slot: int) -> str | None:
+    async def _create(
+        cluster: Cluster, seen: _SweepPicture, index: int, slot: int, *, archive_only: bool
+    ) -> str | None:
         plan = seen.memory.plan
         twin = plan.twins.get(index)
-        body = run_body(seen.body, plan.point(index), slot, None if twin is None else plan.point(twin).name)
+        same = None if twin is None else plan.point(twin).name
+        body = run_body(seen.body, plan.point(index), slot, same, archive_only=archive_only)
         try:
             run = await cluster.create(Kind.MAPPING_RUN, body)
         except AlreadyExists:
@@ -488,7 +534,8 @@ class SweepReconciler:
         memory.points = status.points
         answer = await cluster.write_status(Kind.SWEEP, body, status, conditions) or body
         memory.written_at = now
-        if blocked["status"] == "True" and not holds(body["status"], "Blocked"):
+        news = blocked["status"] == "True" and not holds(body["status"], "Blocked")
+        if news and blocked["reason"] != QUEUE_WAITS:  # to wait is what a queue is for
             await cluster.api.event(Kind.SWEEP, answer, "Warning", blocked["reason"], blocked["message"])
         await self._announce_phase(cluster, body, answer)
         if away is not None:
@@ -626,6 +673,16 @@ def _decide(seen: _SweepPicture, room: int, now: float) -> SweepDecision:
     return replace(decision, message=search.decision.message) if is_over else decision
 
 
+def _note_start(seen: _SweepPicture, now: float) -> None:
+    """Let a Sweep's time begin when the first of its runs is let in: the wait in a queue costs no budget."""
+    memory, active = seen.memory, seen.active
+    is_waiting = bool(active) and all(map(why_held_back, active))
+    if is_waiting and len(active) + memory.states.count(PointState.PENDING) == len(memory.states):
+        memory.started_at = None
+    elif active:
+        memory.started_at = memory.started_at or now
+
+
 def _budget_left(sweep: Sweep, memory: SweepMemory, now: float) -> float:
     """Return after how many seconds to look at the budget of time again."""
     end = (memory.started_at or now) + seconds(sweep.spec.budget.wall_time or "0s")
@@ -655,6 +712,7 @@ def _figures(memory: SweepMemory, tally: SweepTally) -> SweepStatus:
         best=tally.best,
         points=encode_points(memory.states),
         deleted=memory.deletions or None,
+        share=memory.share,
     )
     if tally.best:
         status |= SweepStatus(display=SweepDisplay(ate=metres(tally.best[0].ate)))
