@@ -156,7 +156,7 @@ class NodeComparison:
 
 
 def compare_nodes(frame: Frame) -> NodeComparison:
-    """Return how much longer than its like each node takes for equal runs.
+    """Return the nodes beside others of their kind, by the CPU time of equal runs.
 
     Args:
         frame: one row a run and evaluation.
