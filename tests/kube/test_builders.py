@@ -32,8 +32,10 @@ from slamhive.kube.builders import (
 )
 from slamhive.kube.builders.common import passed_on
 from slamhive.kube.builders.player import player
+from slamhive.kube.builders.run import least_requests
 from slamhive.kube.builders.sending import sender_job
 from slamhive.kube.builders.variant import variant_request
+from slamhive.kube.capacity import bound_by_nodes
 from slamhive.kube.settings import PreparationJobs, Settings
 from slamhive.model.algorithm import TEXT_LIMIT, Algorithm
 from slamhive.model.dataset import Dataset
@@ -625,3 +627,19 @@ def test_a_pod_is_told_where_in_a_folder_things_are() -> None:
         "path": "dataset/recording",
         "files": {"lidar": "velodyne", "times": "times.txt", "calibration": "calib.txt"},
     }
+
+
+def test_runs_with_nodes_for_themselves_are_no_more_than_nodes() -> None:
+    nodes = [
+        {
+            "metadata": {"name": name},
+            "status": {"allocatable": {"cpu": "16", "memory": "64Gi", "pods": "110"}},
+        }
+        for name in ("n1", "n2")
+    ]
+    resources = {"cpu": "1", "memory": "4Gi"}
+    counts = [
+        bound_by_nodes(nodes, least_requests(resources | more, settings()), {}).runs
+        for more in ({}, {"exclusiveNodes": True})
+    ]
+    assert counts == [26, 2]

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from slamhive.kube.api.errors import ApiError, Forbidden, NotFound
+from slamhive.kube.builders.common import WHOLE_NODE
 from slamhive.model.base import quantity
 
 if TYPE_CHECKING:
@@ -96,6 +97,7 @@ def bound_by_nodes(nodes: Iterable[Object], asked: Mapping[str, float], pods: Ob
     runs = 0
     for node in fitting:
         there = {name: _number(text) for name, text in (node["status"].get("allocatable") or {}).items()}
+        there[WHOLE_NODE] = 1.0
         parts = [there.get(name, 0.0) / each for name, each in asked.items() if each > 0]
         runs += math.floor(min([*parts, there.get("pods", math.inf)], default=0.0) + 1e-9)
     words = "node that takes runs" if len(fitting) == 1 else "nodes that take runs"

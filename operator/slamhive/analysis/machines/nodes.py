@@ -156,7 +156,7 @@ class NodeComparison:
 
 
 def compare_nodes(frame: Frame) -> NodeComparison:
-    """Return how much longer than its like each node takes for equal runs.
+    """Return the nodes beside others of their kind, by the CPU time of equal runs.
 
     Args:
         frame: one row a run and evaluation.
@@ -174,7 +174,7 @@ def compare_nodes(frame: Frame) -> NodeComparison:
         return NodeComparison([], [*notes, f"all runs were on one node, {names[0]}: nothing to compare"])
     settings = Groups(frame, [*CONDITIONS, *_KEPT, *varying(frame)])
     kinds = Groups(frame, CONDITIONS)
-    runs = _shared(_Runs.of(frame, settings.of_row, codes.astype(np.intp)))
+    runs = _shared(_NodeRuns.of(frame, settings.of_row, codes.astype(np.intp)))
     if not len(runs.row):
         return NodeComparison([], [*notes, "no setting ran on several nodes of the same kind"])
     runs, left_out = _bounded(runs)
@@ -203,7 +203,7 @@ def _measured(frame: Frame) -> npt.NDArray[np.bool_]:
 
 
 @dataclass(frozen=True)
-class _Runs:
+class _NodeRuns:
     """Runs that are compared, sorted by setting; all arrays (n,).
 
     Attributes:
@@ -221,7 +221,7 @@ class _Runs:
     age: Indices
 
     @classmethod
-    def of(cls, frame: Frame, setting: Indices, node: Indices) -> _Runs:
+    def of(cls, frame: Frame, setting: Indices, node: Indices) -> _NodeRuns:
         finished = np.nan_to_num(frame.column("finished").floats(), nan=-np.inf)
         order = np.lexsort((-finished, node, setting))
         cell = setting[order] * (int(node.max()) + 1) + node[order]
@@ -230,14 +230,14 @@ class _Runs:
         value = np.log(frame.column(LOAD).floats()[order])
         return cls(order, setting[order], node[order], value, age)
 
-    def only(self, which: npt.NDArray[np.bool_]) -> _Runs:
+    def only(self, which: npt.NDArray[np.bool_]) -> _NodeRuns:
         """Return some of them."""
-        return _Runs(
+        return _NodeRuns(
             self.row[which], self.setting[which], self.node[which], self.value[which], self.age[which]
         )
 
 
-def _shared(runs: _Runs) -> _Runs:
+def _shared(runs: _NodeRuns) -> _NodeRuns:
     """Return the runs of settings that ran on several nodes."""
     if not len(runs.row):
         return runs
@@ -247,7 +247,7 @@ def _shared(runs: _Runs) -> _Runs:
     return runs.only(np.repeat(several, sizes))
 
 
-def _bounded(runs: _Runs) -> tuple[_Runs, list[str]]:
+def _bounded(runs: _NodeRuns) -> tuple[_NodeRuns, list[str]]:
     """Return the newest runs of each setting and node, and say which others are left out."""
     for most in (MOST_EACH, 10, 5, 3, 2, 1):
         kept = runs.only(runs.age < most)
@@ -267,7 +267,9 @@ def _bounded(runs: _Runs) -> tuple[_Runs, list[str]]:
 _NEWEST = "of each setting the newest run on a node counts"
 
 
-def _standings(names: Sequence[Any], kind: dict[str, Any], runs: _Runs, margin: float) -> list[NodeStanding]:
+def _standings(
+    names: Sequence[Any], kind: dict[str, Any], runs: _NodeRuns, margin: float
+) -> list[NodeStanding]:
     """Return the standings of the nodes of a kind; those that are slower are no measure for the others."""
     first = {node: _standing(names[node], kind, runs, node, margin) for node in np.unique(runs.node).tolist()}
     slow = [node for node, one in first.items() if one.verdict is NodeVerdict.SLOWER]
@@ -276,7 +278,7 @@ def _standings(names: Sequence[Any], kind: dict[str, Any], runs: _Runs, margin: 
     return [*(first | {node: _standing(names[node], kind, sound, node, margin) for node in again}).values()]
 
 
-def _standing(name: Any, kind: dict[str, Any], runs: _Runs, node: int, margin: float) -> NodeStanding:
+def _standing(name: Any, kind: dict[str, Any], runs: _NodeRuns, node: int, margin: float) -> NodeStanding:
     """Return a node's standing among the runs of its kind.
 
     Args:

@@ -247,6 +247,10 @@ _FROM_RUNS = {
 """Term that keeps a pod off nodes with runs of any namespace, and runs that come later off its own."""
 
 
+WHOLE_NODE = "slamhive.io/node"
+"""Name of the node itself among what a run asks of it: each has one, for a run that shares it with none."""
+
+
 def away_from_runs(affinity: Mapping[str, Any]) -> Manifest:
     """Return an affinity with which a pod shares its node with no run."""
     apart = affinity.get(_APART) or {}

@@ -16,6 +16,7 @@ from slamhive.contract.posefiles import FRAMES
 from slamhive.jobs.requests import RenderRequest
 from slamhive.kube.api.kinds import Kind, reference
 from slamhive.kube.builders.common import (
+    WHOLE_NODE,
     Manifest,
     annotation,
     away_from_runs,
@@ -117,6 +118,8 @@ def least_requests(resources: Mapping[str, Any], settings: Settings) -> dict[str
     """
     monitor = _MONITOR_RESOURCES["requests"]
     asked = {name: quantity(monitor[name]) + quantity(resources[name]) for name in ("cpu", "memory")}
+    if resources.get("exclusiveNodes"):
+        asked[WHOLE_NODE] = 1.0
     return asked | ({settings.pods.gpu_resource: float(gpus)} if (gpus := resources.get("gpu")) else {})
 
 
