@@ -95,7 +95,7 @@ class Attempted:
             what is left is to be read and given to `with_report`; ``end`` is what stands if nothing is found.
         ending: how the algorithm's container ended.
         told: what the kubelet made of its entire pod, if anything.
-        disrupted: UIDs of its pods that are taken, or were, by no fault of theirs, the oldest first, and stay.
+        disrupted: UIDs of its pods that are taken, or were, by no fault of theirs, oldest first, and stay.
         put_off: UIDs of its pods that go, or went, because its Job was suspended, and don't stay.
         pod: name of its pod.
         pod_uid: identity of its pod, by which its folder is named.
