@@ -35,7 +35,7 @@ def stats() -> Any:
 
 
 def summary_of(values: Any) -> Summary:
-    (found,) = Numbers(values, np.zeros(len(values), dtype=np.intp), 1).summaries()
+    found = Numbers(values, np.zeros(len(values), dtype=np.intp), 1).summaries().of(0)
     assert found is not None
     return found
 

@@ -17,10 +17,10 @@ from slamhive.analysis.frame import Frame
 from slamhive.analysis.grouping import Outcomes, aggregate, unranked_notes, varying
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.metrics import Metric
-from slamhive.analysis.selection import Selection, choose, order_by
+from slamhive.analysis.selection import Selection, choose, order_rows
 from slamhive.analysis.statistics import Numbers
 from slamhive.model.errors import InputError
-from slamhive.tables.text import table_lines
+from slamhive.tables.text import table_columns
 
 
 def row(rmse: float | None = 1.0, outcome: str | None = "Tracked", **changes: Any) -> dict[str, Any]:
@@ -47,7 +47,7 @@ def frame_of(rows: list[dict[str, Any]], sweeps: tuple[SweepVersion, ...] = ()) 
 
 
 def mean_of(values: list[float]) -> Any:
-    return Numbers(np.array(values), np.zeros(len(values), dtype=np.intp), 1).summaries()[0]
+    return Numbers(np.array(values), np.zeros(len(values), dtype=np.intp), 1).summaries().of(0)
 
 
 def test_mean_and_sample_deviation_of_tracked_runs() -> None:
@@ -309,7 +309,7 @@ def test_values_that_are_no_numbers_stay_out_of_means() -> None:
 
 
 def test_no_rows() -> None:
-    assert aggregate(Frame({}, 0), ["ate.rmse"]).cells == []
+    assert not list(aggregate(Frame({}, 0), ["ate.rmse"]).cells)
 
 
 def test_equal_trajectories_are_one_result_whose_load_still_varies() -> None:
@@ -399,7 +399,7 @@ def test_cpu_of_an_adapter_that_reads_by_itself_and_tells_no_clock_is_marked_bes
     assert frame.column("usage.includesReader").tolist() == [False, None, None]
     metrics = [Metric(name, "", 1.0, "") for name in ("ate.rmse", "usage.cpu.seconds")]
     found = aggregate(frame, [one.column for one in metrics], ["algorithm"])
-    lines = table_lines(found, (), metrics)[1]
+    lines = zip(*table_columns(found, (), metrics)[1], strict=True)
     assert [["‡" in cell for cell in line[1:3]] for line in lines] == [[False, False]] + [[False, True]] * 2
     assert any(note.startswith("‡ the CPU of mine, mine-too holds the reading") for note in found.notes)
     # Where no other's is without it there is nothing beside which it could be misread.
@@ -544,11 +544,10 @@ def test_unfinished_runs_are_listed_and_not_counted() -> None:
 
 
 def test_missing_values_come_last_either_way() -> None:
-    items = [{"a": 1}, {"a": None}, {"a": 3}, {"a": 2, "b": 1}]
-
-    def get(item: dict[str, Any], name: str) -> Any:
-        return item.get(name)
-
-    assert [i["a"] for i in order_by(items, ["a"], get)] == [1, 2, 3, None]
-    assert [i["a"] for i in order_by(items, ["-a"], get)] == [3, 2, 1, None]
-    assert [i["a"] for i in order_by(items, ["b", "-a"], get)] == [2, 3, 1, None]
+    frame = frame_of([row(1.0), row(None, None), row(3.0), row(2.0)])
+    errors = frame.column("ate.rmse").tolist()
+    cells = aggregate(frame, ["ate.rmse"], ["id"]).cells
+    for sort, expected in (("ate.rmse", [1.0, 2.0, 3.0, None]), ("-ate.rmse", [3.0, 2.0, 1.0, None])):
+        assert [errors[place] for place in order_rows(frame, [sort])] == expected
+        summaries = [cell.figures["ate.rmse"].summary for cell in cells.sorted([sort])]
+        assert [one.mean if one else None for one in summaries] == expected

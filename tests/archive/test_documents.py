@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sqlalchemy import create_engine, text
 
+from slamhive.analysis.columns import Column
+from slamhive.analysis.compact.shapes import MissingShapeError, divide, join, names_of
 from slamhive.analysis.flattening import Spread
-from slamhive.analysis.shapes import MissingShapeError, divide, join, names_of
 from slamhive.archive import Archive, documents, upgrading
 from slamhive.archive.keeping import check
 from slamhive.archive.upgrading import upgrade
@@ -53,6 +54,10 @@ def test_a_divided_document_comes_back_as_it_was(document: Any) -> None:
     assert json.dumps(back) == json.dumps(document)
 
 
+def listed(values: Any) -> list[Any]:
+    return (values if isinstance(values, Column) else Column.of(values)).tolist()
+
+
 @given(st.lists(st.none() | DOCUMENTS, min_size=1, max_size=6))
 def test_divided_documents_make_the_same_columns(found: list[Any]) -> None:
     shapes: dict[int, Any] = {}
@@ -60,8 +65,8 @@ def test_divided_documents_make_the_same_columns(found: list[Any]) -> None:
     names = {number: names_of(shape) for number, shape in shapes.items()}
     expected = Spread.of(found, {}).columns
     columns = Spread.of(held, names).columns
-    assert {name: list(values) for name, values in columns.items()} == {
-        name: list(values) for name, values in expected.items()
+    assert {name: listed(values) for name, values in columns.items()} == {
+        name: listed(values) for name, values in expected.items()
     }
 
 

@@ -17,10 +17,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from furnishing import furnish
-from slamhive.archive import Archive
+from slamhive.archive import Archive, SweepRecord
 from slamhive.bridges.bundles import verifying
 from slamhive.data.files import unpacking
 from slamhive.local.home.folder import Home
+from slamhive.model.results import IMPORTED, Phase, RunRecord
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -76,6 +77,20 @@ def test_a_study_stays_its_own_beside_the_same_program_of_somebody_else(
     code, _, err = run_command("bundle", "acts", *words)
     assert code == 0, err
     assert again.read_bytes() == study.read_bytes()
+
+
+def test_runs_of_the_original_slam_hive_are_refused(
+    elsewhere: Path, tmp_path: Path, run_command: Command
+) -> None:
+    spec = {"algorithmRef": {"name": "a"}, "datasetRef": {"name": "tiny"}, "sensors": "mono"}
+    record = RunRecord(uid="1", name="run-1", spec=spec, phase=Phase.SUCCEEDED, labels={"source": IMPORTED})
+    with Archive.open(Home.at(elsewhere).archive_url) as archive:
+        archive.put_sweep(SweepRecord(uid=IMPORTED, name=IMPORTED, spec={}))
+        archive.put_run(record.replace(sweep=IMPORTED, sweep_uid=IMPORTED))
+    code, _, err = run_command("bundle", IMPORTED, "-o", tmp_path / "new.zip")
+    assert code == 2
+    assert "came from the original SLAM Hive, which has no manifests of what ran" in " ".join(err.split())
+    assert not (tmp_path / "new.zip").exists()
 
 
 def test_figures_agree_where_nobody_knows_the_system(

@@ -158,9 +158,7 @@ class Grid:
     def medians(self) -> Floats:
         """Medians of costs, (c, d): infinite for a failed run, NaN where no run has a rank."""
         found = np.full((len(self.competitors), len(self.datasets)), np.nan)
-        found[self.at[:, 0], self.at[:, 1]] = [
-            np.nan if median is None else median for median in self.costs.medians(self.behind)
-        ]
+        found[self.at[:, 0], self.at[:, 1]] = self.costs.medians(self.behind)
         return found
 
     def ranked(self, place: int) -> Floats:
@@ -175,7 +173,8 @@ class Grid:
     def failures(self) -> list[dict[str, int]]:
         """Return the counts of each place's runs that don't count, by their status."""
         status = self.frame.column("status")
-        return self.places.tallies(status.values, status.codes.astype(np.intp), ~self.counted)
+        found = self.places.tallies(status.values, status.codes.astype(np.intp), ~self.counted)
+        return [found.get(place, {}) for place in range(self.places.count)]
 
 
 @dataclass(frozen=True)
@@ -270,10 +269,10 @@ def _comparable(frame: Frame, by: Sequence[str]) -> list[Mask]:
 def _grid(frame: Frame, facets: dict[str, Any], metric: str, by: Sequence[str], marks: Sequence[Any]) -> Grid:
     competitors, datasets = Groups(frame, by), Groups(frame, ("dataset",))
     both = Groups(frame, (*by, "dataset"))
-    firsts = both.order[[begin for begin, _ in both.edges]]
+    firsts = both.firsts
     at = np.stack([competitors.of_row[firsts], datasets.of_row[firsts]], axis=1)
     names = [key["dataset"] for key in datasets.keys]
-    return Grid(metric, facets, frame, competitors.keys, names, Places(both.order, both.edges), at, *marks)
+    return Grid(metric, facets, frame, competitors.keys, names, Places(both.order, both.bounds), at, *marks)
 
 
 def scaled_ranks(medians: Floats) -> Floats:

@@ -1,26 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figures of many groups of runs at once: summaries, medians with failures, outcomes; grouping.py asks.
 
-A table may have a group a run. So what can be is done for all groups by one call of NumPy, and what stays in
-Python is one pass over plain numbers.
+A table may have a group a run. So what can be is done for all groups by one call of NumPy, and records of
+groups are made where somebody goes through them.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
 from slamhive.analysis.statistics import ENOUGH, Interval, Numbers, Summary, mean_interval, median_interval
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Mapping
 
     import numpy.typing as npt
 
     from slamhive.analysis.columns import Floats, Indices, Mask
+    from slamhive.analysis.frame import Frame
+    from slamhive.analysis.statistics import Summaries
+
+_KEPT = 1000
+"""Groups up to which they are kept once they were made; of more as many are made at a time."""
 
 
 @dataclass(frozen=True)
@@ -101,14 +108,13 @@ class Places:
 
     Args:
         order: the rows, (n,).
-        edges: where each group begins and ends among them.
+        bounds: where each group begins among them, and the end of the last, (groups + 1,).
     """
 
-    def __init__(self, order: Indices, edges: Sequence[tuple[int, int]]) -> None:
+    def __init__(self, order: Indices, bounds: Indices) -> None:
         self.order = order
-        self.count = len(edges)
-        sizes = np.array([end - begin for begin, end in edges], dtype=np.intp)
-        self.of_row: Indices = np.repeat(np.arange(self.count), sizes)
+        self.count = len(bounds) - 1
+        self.of_row: Indices = np.repeat(np.arange(self.count), np.diff(bounds))
         """The group of each row, in their order, (n,)."""
 
     def numbers(self, values: Floats, inside: Mask) -> Numbers:
@@ -126,8 +132,8 @@ class Places:
         """Return the number of rows of each group in a mask, (groups,)."""
         return np.bincount(self.of_row[mask[self.order]], minlength=self.count)
 
-    def tallies(self, words: Sequence[str], codes: Indices, inside: Mask) -> list[dict[str, int]]:
-        """Return the count of each word in each group, the words sorted.
+    def tallies(self, words: Sequence[str], codes: Indices, inside: Mask) -> dict[int, dict[str, int]]:
+        """Return the count of each word in each group that has one, the words sorted.
 
         Args:
             words: what codes stand for.
@@ -137,44 +143,177 @@ class Places:
         kept = inside[self.order]
         cells = self.of_row[kept] * len(words) + codes[self.order][kept]
         used, counts = np.unique(cells, return_counts=True)
-        found: list[dict[str, int]] = [{} for _ in range(self.count)]
+        found: dict[int, dict[str, int]] = {}
         ranked = sorted(
             zip(used.tolist(), counts.tolist(), strict=True), key=lambda one: words[one[0] % len(words)]
         )
         for cell, count in ranked:
             group, word = divmod(cell, len(words))
-            found[group][words[word]] = count
+            found.setdefault(group, {})[words[word]] = count
         return found
 
 
-def figures(numbers: Numbers, failed: Indices | None = None, sign: float = 1.0) -> list[Figure]:
-    """Return the figures of a metric; of an error, failed runs rank behind all others.
+class GroupFigures(Sequence[Figure]):
+    """The figures of a metric over groups: columns, of which one is made when it is asked for.
 
     Args:
-        numbers: those that count.
+        numbers: those that count; of an error, failed runs rank behind all others.
         failed: number of failed runs of each group, (groups,); None where they have no rank.
         sign: -1 where large numbers are good: then failed runs are below all others.
+
+    Attributes:
+        summaries: of the numbers.
     """
-    found, costs, summaries = [], numbers.times(sign), numbers.summaries()
-    middles: Sequence[float | None] = [None] * len(summaries) if failed is None else costs.medians(failed)
-    rows = zip(
-        summaries,
-        numbers.points(),
-        middles,
-        [0] * len(summaries) if failed is None else failed.tolist(),
-        strict=True,
-    )
-    for group, (summary, points, cost, behind) in enumerate(rows):
-        middle = None if cost is None else sign * cost
+
+    def __init__(self, numbers: Numbers, failed: Indices | None = None, sign: float = 1.0) -> None:
+        self._numbers, self._failed, self._sign = numbers, failed, sign
+        self._costs = numbers.times(sign)
+        self.summaries = numbers.summaries()
+        self._middles = None if failed is None else self._costs.medians(failed)
+
+    def __len__(self) -> int:
+        """Return the number of groups."""
+        return len(self.summaries.n)
+
+    @overload
+    def __getitem__(self, place: int) -> Figure: ...
+    @overload
+    def __getitem__(self, place: slice) -> list[Figure]: ...
+    def __getitem__(self, place: int | slice) -> Figure | list[Figure]:
+        """Return the figure of a group, or those of several."""
+        if isinstance(place, slice):
+            return [self[group] for group in range(*place.indices(len(self)))]
+        summary = self.summaries.of(place)
+        behind = 0 if self._failed is None else int(self._failed[place])
+        middle = None
+        if self._middles is not None and not np.isnan(cost := self._middles[place]):
+            middle = self._sign * float(cost)
         interval = of_median = None
         if summary and summary.n >= ENOUGH:
             interval = mean_interval(summary)
         if (summary.n if summary else 0) + behind >= ENOUGH:
-            ordered = np.concatenate([costs.ordered(group), np.full(behind, np.inf)])
+            ordered = np.concatenate([self._costs.ordered(place), np.full(behind, np.inf)])
             of_median = median_interval(ordered)
-        turned = of_median and of_median.times(sign)
-        found.append(Figure(summary, points, interval, turned, behind, middle))
-    return found
+        turned = of_median and of_median.times(self._sign)
+        return Figure(summary, self._numbers.points(place), interval, turned, behind, middle)
+
+
+@dataclass(frozen=True)
+class CellColumns:
+    """Columns of groups; words are of those alone that have some.
+
+    Attributes:
+        keys: their first rows.
+        names: columns that tell them apart.
+        runs, n, copies, coverage, figures, reader, late, chosen: as those of `Cell`, for each group.
+        failures, untracked: as those of `Cell`, by the group.
+        findings: codes of what was known to be wrong with recordings, by the group.
+    """
+
+    keys: Frame
+    names: tuple[str, ...]
+    runs: Indices
+    n: Indices
+    copies: Indices
+    failures: Mapping[int, dict[str, int]]
+    untracked: Mapping[int, dict[str, int]]
+    coverage: Summaries
+    figures: Mapping[str, GroupFigures]
+    findings: Mapping[int, tuple[str, ...]]
+    reader: Mask
+    late: Mask
+    chosen: Mask
+
+
+class Cells(Sequence[Cell]):
+    """Groups of runs, each made when it is asked for: a table may have a group a run.
+
+    Args:
+        columns: what there is of them.
+        order: their places in the columns, (n,).
+    """
+
+    def __init__(self, columns: CellColumns, order: Indices) -> None:
+        self.columns = columns
+        self.order = order
+
+    def __len__(self) -> int:
+        """Return the number of groups."""
+        return len(self.order)
+
+    @overload
+    def __getitem__(self, place: int) -> Cell: ...
+    @overload
+    def __getitem__(self, place: slice) -> list[Cell]: ...
+    def __getitem__(self, place: int | slice) -> Cell | list[Cell]:
+        """Return a group, or several."""
+        places = self.order[place : place + 1 or None] if isinstance(place, int) else self.order[place]
+        if isinstance(place, slice):
+            return self._made(places)
+        if not len(places):
+            raise IndexError(f"there are {len(self)} groups, and none is number {place}")
+        return self._few[place] if len(self) <= _KEPT else self._made(places)[0]
+
+    def __iter__(self) -> Iterator[Cell]:
+        """Go through the groups."""
+        if len(self) <= _KEPT:
+            yield from self._few
+            return
+        for start in range(0, len(self), _KEPT):
+            yield from self._made(self.order[start : start + _KEPT])
+
+    @cached_property
+    def _few(self) -> list[Cell]:
+        return self._made(self.order)
+
+    def _made(self, places: Indices) -> list[Cell]:
+        held = self.columns
+        found = []
+        keys = held.keys.select(places).records(held.names)
+        for group, key in zip(places.tolist(), keys, strict=True):
+            found.append(
+                Cell(
+                    key,
+                    int(held.runs[group]),
+                    int(held.n[group]),
+                    int(held.copies[group]),
+                    held.failures.get(group, {}),
+                    held.untracked.get(group, {}),
+                    held.coverage.of(group),
+                    {name: figures[group] for name, figures in held.figures.items()},
+                    held.findings.get(group, ()),
+                    bool(held.reader[group]),
+                    bool(held.late[group]),
+                    bool(held.chosen[group]),
+                )
+            )
+        return found
+
+    @property
+    def keys(self) -> Frame:
+        """The values that tell groups apart, a row each."""
+        return self.columns.keys.select(self.order)
+
+    def sorted(self, names: Sequence[str]) -> Cells:
+        """Return the groups in the order of keys, means of metrics, coverage or n.
+
+        Args:
+            names: a dash before one turns its order round. What is missing comes last either way.
+        """
+        turned = [self._ranks(name) for name in reversed(names)]
+        return Cells(self.columns, self.order[np.lexsort(turned)]) if turned else self
+
+    def _ranks(self, name: str) -> Floats:
+        held, column = self.columns, name.removeprefix("-")
+        if column in held.names:
+            ranks = self.keys.column(column).ranks()
+        elif column == "n":
+            ranks = held.n[self.order].astype(np.float64)
+        else:
+            of = held.coverage if column == "coverage" else held.figures[column].summaries
+            means = of.mean[self.order]
+            ranks = np.where(np.isnan(means), np.inf, means)
+        return np.where(np.isinf(ranks), np.inf, -ranks) if name.startswith("-") else ranks
 
 
 def different(codes: npt.NDArray[np.signedinteger[Any]]) -> Indices:

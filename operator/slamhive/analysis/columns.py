@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Columns of many rows as arrays: 80,000 runs with a hundred columns in some 60 MB.
+"""Columns of many rows as arrays: 80,000 runs with a hundred columns in some 40 MB.
 
 A column holds numbers, in which NaN is what is missing, or codes that stand for values, -1 for what is
 missing. Nothing in here is ever changed after it was made, so that columns can be shared.
@@ -9,18 +9,18 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cached_property
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.analysis.compact.texts import PackedTexts, merged, numbers_of_texts, short
 from slamhive.model.base import Choice
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
+    from collections.abc import Set as AbstractSet
 
     import numpy.typing as npt
 
@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 
 _EXACT = 2.0**53
 _PLAIN = {int, float, type(None)}
+_FEW = 127
+"""Different values up to which codes have a byte."""
+_MANY = 256
+"""Values from which on it is worth the while to look how few are different, or to hold texts as one array."""
 
 
 def sort_key(value: Any) -> tuple[int, float, str]:
@@ -56,21 +60,35 @@ class ColumnKind(Choice):
         return self not in {ColumnKind.TEXT, ColumnKind.OTHER}
 
 
-@dataclass(frozen=True, eq=False)
 class Column:
     """The values of one name in all rows.
 
-    Attributes:
+    Numbers of which few are different are held by codes too.
+
+    Args:
         kind: what they are.
         numbers: (n,) for numeric kinds, NaN where missing; s since 1970 for times, 0 and 1 for booleans.
         codes: (n,) for the others, places in ``values``, -1 where missing.
-        values: what codes stand for, each once, none of them None.
+        values: what codes stand for, each once, none of them None; of numbers an array in their order.
+
+    Attributes:
+        kind: as given.
+        values: as given.
     """
 
-    kind: ColumnKind
-    numbers: Floats
-    codes: Integers
-    values: tuple[Any, ...] = ()
+    __slots__ = ("_codes", "_numbers", "kind", "values")
+
+    def __init__(
+        self,
+        kind: ColumnKind,
+        numbers: Floats,
+        codes: npt.NDArray[np.signedinteger[Any]],
+        values: Sequence[Any] | Floats = (),
+    ) -> None:
+        self.kind = kind
+        self._numbers = numbers
+        self._codes = codes
+        self.values: Any = values
 
     @classmethod
     def of_numbers(cls, numbers: npt.ArrayLike, kind: ColumnKind = ColumnKind.NUMBER) -> Column:
@@ -82,29 +100,48 @@ class Column:
     @classmethod
     def of_codes(cls, codes: npt.ArrayLike, values: Iterable[Any]) -> Column:
         """Return a column of values by their codes."""
-        kept = tuple(values)
-        kind = ColumnKind.TEXT if set(map(type, kept)) <= {str} else ColumnKind.OTHER
-        return cls(kind, _NO_NUMBERS, np.asarray(codes, dtype=np.int32), kept)
+        kept = values if isinstance(values, PackedTexts) else tuple(values)
+        is_text = isinstance(kept, PackedTexts) or set(map(type, kept)) <= {str}
+        kind = ColumnKind.TEXT if is_text else ColumnKind.OTHER
+        return cls(kind, _NO_NUMBERS, _narrow(np.asarray(codes), len(kept)), kept)
 
     @classmethod
-    def of(cls, values: Sequence[Any]) -> Column:
-        """Return the column of plain JSON values."""
-        types = set(map(type, values))
+    def of(cls, values: Sequence[Any], types: AbstractSet[type] | None = None) -> Column:
+        """Return the column of plain JSON values.
+
+        Args:
+            values: one a row, None where missing.
+            types: those of the values, where they are known.
+        """
+        types = set(map(type, values)) if types is None else types
         if types <= _PLAIN:
             found = cls.of_numbers(values)  # numpy reads None as NaN
             whole = float not in types and int in types
             if not whole or not (np.abs(found.numbers) > _EXACT).any():
-                return cls(ColumnKind.INTEGER, found.numbers, _NO_CODES) if whole else found
+                found.kind = ColumnKind.INTEGER if whole else ColumnKind.NUMBER
+                return found.packed()
         if types <= {bool, type(None)}:
-            return cls.of_numbers(values, ColumnKind.BOOLEAN)
+            return cls.of_numbers(values, ColumnKind.BOOLEAN).packed()
         if types <= {str, type(None)}:
             return cls._coded(values, values)
         return cls._coded(values, [None if value is None else _identity(value) for value in values])
 
     @classmethod
+    def repeated(cls, value: Any, length: int, rows: Indices | None = None) -> Column:
+        """Return the column of one value in all rows, or in some."""
+        one = cls.of([value])
+        if not one.is_coded:
+            one = cls(one.kind, _NO_NUMBERS, np.zeros(1, dtype=np.int8), one.numbers)
+        codes = np.zeros(length, dtype=np.int8)
+        if rows is not None:
+            codes.fill(-1)
+            codes[rows] = 0
+        return cls(one.kind, _NO_NUMBERS, codes, one.values)
+
+    @classmethod
     def missing(cls, length: int) -> Column:
         """Return a column of nothing."""
-        return cls(ColumnKind.NUMBER, np.full(length, np.nan), _NO_CODES)
+        return cls(ColumnKind.NUMBER, _NO_NUMBERS, np.full(length, -1, dtype=np.int8), _NO_NUMBERS)
 
     @classmethod
     def concatenate(cls, columns: Sequence[Column]) -> Column:
@@ -116,12 +153,7 @@ class Column:
         if all(kind.is_numeric for kind in kinds):
             plain = kinds <= {ColumnKind.NUMBER, ColumnKind.INTEGER}
             if len(kinds) <= 1 or plain:
-                kind = kinds.pop() if len(kinds) == 1 else ColumnKind.NUMBER
-                parts = [
-                    column.numbers if column.kind.is_numeric else np.full(len(column), np.nan)
-                    for column in columns
-                ]
-                return cls(kind, np.concatenate(parts), _NO_CODES)
+                return cls._of_all_numbers(kinds.pop() if len(kinds) == 1 else ColumnKind.NUMBER, columns)
         elif not any(kind.is_numeric for kind in kinds):
             return cls._merged(columns)
         return cls.of([value for column in columns for value in column.tolist()])
@@ -130,66 +162,179 @@ class Column:
     def _coded(cls, values: Sequence[Any], keys: Sequence[Any]) -> Column:
         places = dict.fromkeys(keys)
         places.pop(None, None)
+        if keys is values and len(places) == len(keys) >= _MANY and (packed := PackedTexts.of(keys)):
+            return cls.of_codes(np.arange(len(keys), dtype=np.int32), packed)
         places.update(zip(places, range(len(places)), strict=True))
-        kept = list(places)
+        kept: Sequence[Any] = list(places)
         if keys is not values:
             # The first value of a key stands for all of them.
             firsts = dict(zip(reversed(keys), reversed(values), strict=True))
             kept = [firsts[key] for key in places]
+        elif 2 * len(places) > len(keys) and len(places) >= _MANY:
+            kept = PackedTexts.of(kept) or kept
         places[None] = -1
         return cls.of_codes(np.fromiter(map(places.__getitem__, keys), np.int32, len(keys)), kept)
 
     @classmethod
+    def _of_all_numbers(cls, kind: ColumnKind, columns: Sequence[Column]) -> Column:
+        """Return numeric columns one below the other; others among them hold nothing."""
+        parts = [
+            column if column.kind.is_numeric else cls.missing(len(column))
+            for column in columns
+            if len(column)
+        ]
+        if not parts or any(not part.is_coded for part in parts):
+            return cls(kind, np.concatenate([part.numbers for part in parts] or [_NO_NUMBERS]), _NO_CODES)
+        known = [part.values for part in parts if len(part.values)]
+        same = all(np.array_equal(one, known[0]) for one in known)
+        values = (known[0] if known else _NO_NUMBERS) if same else np.unique(np.concatenate(known))
+        if len(values) > _FEW:
+            return cls(kind, np.concatenate([part.numbers for part in parts]), _NO_CODES)
+        if same:
+            return cls(kind, _NO_NUMBERS, np.concatenate([part.held for part in parts]), values)
+        codes = [
+            np.append(np.searchsorted(values, part.values), -1).astype(np.int8)[part.held] for part in parts
+        ]
+        return cls(kind, _NO_NUMBERS, np.concatenate(codes), values)
+
+    @classmethod
     def _merged(cls, columns: Sequence[Column]) -> Column:
-        texts = all(column.kind is ColumnKind.TEXT for column in columns if not column.kind.is_numeric)
-        keyed = [column.values if texts else tuple(map(_identity, column.values)) for column in columns]
-        places: dict[Any, int] = {key: place for place, key in enumerate(dict.fromkeys(chain(*keyed)))}
-        kept = list(places)
-        if not texts:
-            values = dict(zip(chain(*keyed), chain(*(column.values for column in columns)), strict=True))
-            kept = [values[key] for key in places]
+        coded = [column for column in columns if not column.kind.is_numeric]
+        texts = all(column.kind is ColumnKind.TEXT for column in coded)
+        values: Sequence[Any]
+        if all(isinstance(column.values, PackedTexts) for column in coded):
+            values, places_of_all = merged([column.values for column in coded])
+            ends = np.cumsum([len(column.values) for column in coded])[:-1]
+            translations = iter(np.split(places_of_all, ends))
+        else:
+            keyed = [list(column.values if texts else map(_identity, column.values)) for column in coded]
+            places: dict[Any, int] = {key: place for place, key in enumerate(dict.fromkeys(chain(*keyed)))}
+            values = list(places)
+            if texts and len(values) >= _MANY:
+                values = PackedTexts.of(values) or values
+            elif not texts:
+                by_key = dict(zip(chain(*keyed), chain(*(column.values for column in coded)), strict=True))
+                values = [by_key[key] for key in places]
+            translations = (np.fromiter(map(places.__getitem__, keys), np.int32, len(keys)) for keys in keyed)
         parts = []
-        for column, keys in zip(columns, keyed, strict=True):
+        for column in columns:
             if column.kind.is_numeric:
                 parts.append(np.full(len(column), -1, dtype=np.int32))
-                continue
-            translation = np.fromiter(map(places.__getitem__, keys), np.int32, len(keys))
-            parts.append(np.append(translation, np.int32(-1))[column.codes])
-        return cls.of_codes(np.concatenate(parts), kept)
+            else:
+                parts.append(np.append(next(translations), np.int32(-1))[column.held])
+        return cls.of_codes(np.concatenate(parts), values)
 
     def __len__(self) -> int:
         """Return the number of rows."""
-        return len(self.numbers) if self.kind.is_numeric else len(self.codes)
+        return len(self._codes) if self.is_coded else len(self._numbers)
 
-    @cached_property
+    @property
+    def is_coded(self) -> bool:
+        """True if rows hold places in ``values``, as all but many different numbers do."""
+        return not self.kind.is_numeric or isinstance(self.values, np.ndarray)
+
+    @property
+    def numbers(self) -> Floats:
+        """The numbers of numeric kinds, (n,), NaN where missing."""
+        if not (self.kind.is_numeric and self.is_coded):
+            return self._numbers
+        found: Floats = np.append(self.values, math.nan)[self._codes]
+        return found
+
+    @property
+    def codes(self) -> Integers:
+        """The places of the values of other kinds, (n,), -1 where missing."""
+        return _NO_CODES if self.kind.is_numeric else self._codes.astype(np.int32, copy=False)
+
+    @property
+    def held(self) -> npt.NDArray[Any]:
+        """The numbers or, where rows hold such, places in ``values``, (n,), as they are in memory."""
+        return self._codes if self.is_coded else self._numbers
+
+    @property
     def present(self) -> Mask:
         """Mask of the rows that have a value, (n,)."""
-        return ~np.isnan(self.numbers) if self.kind.is_numeric else self.codes >= 0
+        return self._codes >= 0 if self.is_coded else ~np.isnan(self._numbers)
 
     @property
     def is_empty(self) -> bool:
         """True if no row has a value."""
-        return not self.present.any()
+        begins_with_one = len(self) and (
+            self._codes[0] >= 0 if self.is_coded else not np.isnan(self._numbers[0])
+        )
+        return not (begins_with_one or self.present.any())
+
+    def marks(self) -> npt.NDArray[np.uint64]:
+        """Return a number for each value, (n,), the same in every process and column (``hash`` is not)."""
+        if self.kind.is_numeric:
+            return self.numbers.view(np.uint64)
+        values = self.values
+        if not isinstance(values, PackedTexts):
+            texts = [short(str(value).encode("utf-8", "replace")) for value in values]
+            values = PackedTexts(np.array(texts, dtype=np.bytes_))
+        found: npt.NDArray[np.uint64] = np.append(numbers_of_texts(values.data), _NOTHING)[self._codes]
+        return found
+
+    def among(self, wanted: Iterable[Any]) -> Mask:
+        """Tell which rows have one of some texts, or none where None is wanted, (n,)."""
+        if self.kind.is_numeric:
+            return np.zeros(len(self), dtype=bool)
+        words = frozenset(wanted) if self.kind is ColumnKind.TEXT else tuple(wanted)  # lists have no hash
+        values = self.values
+        if isinstance(values, PackedTexts):
+            verdicts = np.zeros(len(values) + 1, dtype=bool)
+            for word in words:
+                verdicts[values.places(word)] = True
+            verdicts[-1] = None in words
+        else:
+            verdicts = np.array([value in words for value in (*values, None)], dtype=bool)
+        found: Mask = verdicts[self._codes]
+        return found
+
+    def packed(self) -> Column:
+        """Return the column, numbers by codes where few of them are different."""
+        if self.is_coded or len(self._numbers) < _MANY:
+            return self
+        if len(np.unique(self._numbers[:: len(self._numbers) // _MANY])) > _FEW:
+            return self
+        values = np.unique(self._numbers)
+        values = values[~np.isnan(values)]
+        zeros = self._numbers[self._numbers == 0]
+        if len(values) > _FEW or np.signbit(zeros).any():  # -0 is written otherwise than 0
+            return self
+        codes = np.searchsorted(values, self._numbers).astype(np.int8)
+        codes[np.isnan(self._numbers)] = -1
+        return Column(self.kind, _NO_NUMBERS, codes, values)
 
     def take(self, rows: Indices | Mask) -> Column:
         """Return the column of some rows."""
-        if self.kind.is_numeric:
-            return Column(self.kind, self.numbers[rows], _NO_CODES)
-        return Column(self.kind, _NO_NUMBERS, self.codes[rows], self.values)
+        if self.is_coded:
+            return Column(self.kind, _NO_NUMBERS, self._codes[rows], self.values)
+        return Column(self.kind, self._numbers[rows], _NO_CODES)
 
     def tolist(self) -> list[Any]:
         """Return the values as plain ones, None where missing, times as ISO 8601 texts."""
-        if not self.kind.is_numeric:
-            lookup = [*self.values, None]
-            return [lookup[code] for code in self.codes.tolist()]
+        if self.is_coded:
+            values = self.values
+            if self.kind.is_numeric:
+                lookup = [*map(self.plain, values.tolist()), None]
+            elif isinstance(values, PackedTexts) and len(self._codes) < len(values):
+                texts = map(bytes.decode, values.data[self._codes].tolist())
+                return [
+                    None if code < 0 else text for code, text in zip(self._codes.tolist(), texts, strict=True)
+                ]
+            else:
+                lookup = [*values, None]
+            return [lookup[code] for code in self._codes.tolist()]
         if self.kind is ColumnKind.TIME:
-            return [None if value != value else self.plain(value) for value in self.numbers.tolist()]  # noqa: PLR0124
+            return [None if value != value else self.plain(value) for value in self._numbers.tolist()]  # noqa: PLR0124
         found: list[Any]
-        if self.present.all():
-            found = self.numbers.astype(_PLAIN_TYPES[self.kind]).tolist()
+        present = self.present
+        if present.all():
+            found = self._numbers.astype(_PLAIN_TYPES[self.kind]).tolist()
             return found
-        held = np.where(self.present, self.numbers, 0).astype(_PLAIN_TYPES[self.kind]).astype(object)
-        held[~self.present] = None
+        held = np.where(present, self._numbers, 0).astype(_PLAIN_TYPES[self.kind]).astype(object)
+        held[~present] = None
         found = held.tolist()
         return found
 
@@ -209,18 +354,27 @@ class Column:
         """Return the values as finite numbers, (n,), NaN for those that are none."""
         if self.kind.is_numeric:
             return self.numbers
+        if self.kind is ColumnKind.TEXT:
+            return np.full(len(self), math.nan)
         lookup = np.array([*map(_float, self.values), math.nan])
         lookup[~np.isfinite(lookup)] = math.nan
-        numbers: Floats = lookup[self.codes]
+        numbers: Floats = lookup[self._codes]
         return numbers
 
     def factorized(self) -> tuple[Integers, list[Any]]:
         """Return (codes, values): values in their order, each used, None last where one is missing."""
-        if self.kind.is_numeric:
-            uniques, codes = np.unique(self.numbers, return_inverse=True)
+        if not self.is_coded:
+            uniques, codes = np.unique(self._numbers, return_inverse=True)
             values = [None if value != value else self.plain(value) for value in uniques.tolist()]  # noqa: PLR0124
             return codes.astype(np.int32), values
-        used, codes = renumbered(self.codes + 1, len(self.values) + 1)
+        used, codes = renumbered(self._codes.astype(np.int32) + 1, len(self.values) + 1)
+        if self.kind.is_numeric:
+            if len(used) and used[0] == 0:  # what is missing comes last
+                used, codes = np.append(used[1:], 0), np.where(codes == 0, len(used), codes) - 1
+            values = [
+                None if code == 0 else self.plain(float(self.values[code - 1])) for code in used.tolist()
+            ]
+            return codes.astype(np.int32), values
         values = [None if code == 0 else self.values[code - 1] for code in used.tolist()]
         order = sorted(range(len(values)), key=lambda place: sort_key(values[place]))
         ranks = np.empty(len(values), dtype=np.int32)
@@ -230,17 +384,31 @@ class Column:
     def ranks(self) -> Floats:
         """Return numbers, (n,), in the order of ``sort_key``; +inf where missing."""
         if self.kind.is_numeric:
-            return np.where(self.present, self.numbers, np.inf)
-        order = sorted(range(len(self.values)), key=lambda code: sort_key(self.values[code]))
-        ranks = np.empty(len(self.values) + 1)
-        ranks[order] = np.arange(len(self.values), dtype=np.float64)
+            numbers = self.numbers
+            return np.where(np.isnan(numbers), np.inf, numbers)
+        values = self.values
+        order: Any = (
+            values.order()
+            if isinstance(values, PackedTexts)
+            else sorted(range(len(values)), key=lambda code: sort_key(values[code]))
+        )
+        ranks = np.empty(len(values) + 1)
+        ranks[order] = np.arange(len(values), dtype=np.float64)
         ranks[-1] = np.inf
-        return ranks[self.codes]
+        found: Floats = ranks[self._codes]
+        return found
 
 
 _PLAIN_TYPES = {ColumnKind.NUMBER: np.float64, ColumnKind.INTEGER: np.int64, ColumnKind.BOOLEAN: np.bool_}
 _NO_NUMBERS = np.empty(0)
 _NO_CODES = np.empty(0, dtype=np.int32)
+_NOTHING = np.array([math.nan]).view(np.uint64)
+
+
+def _narrow(codes: npt.NDArray[Any], count: int) -> npt.NDArray[np.signedinteger[Any]]:
+    """Return codes of so many values in as few bytes as hold them."""
+    kind = np.int8 if count <= _FEW else np.int16 if count < 1 << 15 else np.int32
+    return codes.astype(kind, copy=False)
 
 
 def _float(value: Any) -> float:

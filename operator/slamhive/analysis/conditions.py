@@ -132,9 +132,9 @@ class Membership:
         column = self.operand.column(frame)
         # A column may have as many texts as rows, names of runs: where no number is asked for they are looked
         # up as they are.
-        plainly = column is not None and column.kind is ColumnKind.TEXT and not self._numbers
-        test = frozenset(self.values).__contains__ if plainly else self._holds
-        return _by_value(self.operand, frame, test) ^ self.negated
+        if column is not None and column.kind is ColumnKind.TEXT and not self._numbers:
+            return column.among(self.values) ^ self.negated
+        return _by_value(self.operand, frame, self._holds) ^ self.negated
 
     def _holds(self, found: Any) -> bool:
         """Tell whether a value is equal to one of them, as `equal` means it, at the cost of a look-up."""

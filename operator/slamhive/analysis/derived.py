@@ -119,7 +119,7 @@ def with_derived(columns: Mapping[str, Column], length: int, sweeps: Sequence[Sw
         LATE_SECONDS: _lateness(frame),
         **_causal(frame),
     }
-    kept = {name: column for name, column in extra.items() if not column.is_empty}
+    kept = {name: column.packed() for name, column in extra.items() if not column.is_empty}
     return Frame({**given, **kept}, length)
 
 

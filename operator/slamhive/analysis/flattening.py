@@ -10,20 +10,23 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
 from slamhive.analysis.columns import Column, times
-from slamhive.analysis.shapes import MOST_ITEMS, turned
+from slamhive.analysis.compact.shapes import MOST_ITEMS, Constant, turned
 from slamhive_eval.statistics import STATISTICS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from slamhive.analysis.columns import Indices
-    from slamhive.analysis.shapes import Names
+
+    Values = Sequence[Any] | Column
+    from slamhive.analysis.compact.shapes import Names
     from slamhive.model.results import Result
 
     Document = Mapping[str, Any]
@@ -99,18 +102,20 @@ _FIRST = re.compile(r"[^.\[]*")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _EMPTY: dict[str, Any] = {}
 _DOCUMENT = {dict, type(None)}
+_CONTAINERS = {dict, list}
+_NAMES = 4096
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Documents of rows as lists of values by joined names.
+    """Documents of rows as columns or lists of values by joined names.
 
     Attributes:
         columns: values by name.
         length: number of rows.
     """
 
-    columns: Mapping[str, Sequence[Any]]
+    columns: Mapping[str, Values]
     length: int
 
     @classmethod
@@ -127,20 +132,21 @@ class Spread:
         Raises:
             MissingShapeError: a shape is not there.
         """
-        columns: dict[str, Sequence[Any]] = {}
-        divided = [place for place, item in enumerate(documents) if type(item) is list]
+        columns: dict[str, Values] = {}
+        divided: Sequence[int] = range(len(documents))
+        if set(map(type, documents)) != {list}:
+            divided = [place for place, item in enumerate(documents) if type(item) is list]
         if len(divided) < len(documents):
             spread(columns, "", [item if type(item) is dict else None for item in documents], left_out)
         for places, values in turned([documents[place] for place in divided], shapes) if divided else ():
             rows = divided if places is None else [divided[place] for place in places]
-            whole = len(rows) == len(documents)
             for name, held in values.items():
                 if _parted(name)[0] in left_out or (name not in columns and len(columns) >= MAX_COLUMNS):
                     continue
-                _spread_values(columns, name, held if whole else _placed(held, rows, len(documents)))
+                _spread_values(columns, name, _placed(held, rows, len(documents)))
         return cls(columns, len(documents))
 
-    def below(self, key: str | None, left_out: frozenset[str]) -> Iterator[tuple[str, Sequence[Any]]]:
+    def below(self, key: str | None, left_out: frozenset[str]) -> Iterator[tuple[str, Values]]:
         """Yield the rest of the names and the values of what is below a field.
 
         Args:
@@ -155,13 +161,23 @@ class Spread:
                 yield rest.removeprefix("."), values
 
 
-def _placed(values: Sequence[Any], rows: Sequence[int], length: int) -> list[Any]:
-    found: list[Any] = [None] * length
-    for row, value in zip(rows, values, strict=True):
-        found[row] = value
-    return found
+def _placed(values: Sequence[Any] | Constant, rows: Sequence[int], length: int) -> Values:
+    """Return the values of some rows as those of all: a column, unless there are objects or lists in it."""
+    if isinstance(values, Constant):
+        if type(values.value) not in _CONTAINERS:
+            whole = len(rows) == length
+            return Column.repeated(values.value, length, None if whole else np.array(rows, dtype=np.intp))
+        values = [values.value] * len(rows)
+    found: Sequence[Any] = values
+    if len(rows) != length:
+        found = [None] * length
+        for row, value in zip(rows, values, strict=True):
+            found[row] = value
+    types = set(map(type, found))
+    return found if types & _CONTAINERS or types == {type(None)} else Column.of(found, types)
 
 
+@lru_cache(_NAMES)
 def _parted(name: str) -> tuple[str, str]:
     """Return the first field of a joined name, and the rest."""
     found = _FIRST.match(name)
@@ -214,7 +230,7 @@ def columns_of_runs(runs: Mapping[str, Any], results: Results, left_out: frozens
         results: of these runs.
         left_out: names of results that make no columns.
     """
-    found: dict[str, Sequence[Any]] = {}
+    found: dict[str, Values] = {}
     for prefix, document, key in DOCUMENTS:
         held = runs[document]
         if isinstance(held, Spread):
@@ -224,19 +240,30 @@ def columns_of_runs(runs: Mapping[str, Any], results: Results, left_out: frozens
                     _spread_values(found, f"{prefix}.{name}", values)
         else:
             spread(found, prefix, [item and item.get(key) for item in held] if key else _rest(document, held))
-    columns = {name: Column.of(values) for name, values in found.items()}
+    columns = {name: _column(values) for name, values in found.items()}
     for name, of_archive in OF_RUN.items():
         if of_archive in runs:
             values = runs[of_archive]
-            columns[name] = times(values) if name in TIMES else Column.of(values)
-    columns["run"] = Column.of(
-        [_label_of_run(labels, name) for labels, name in zip(runs["labels"], runs["name"], strict=True)]
-    )
+            columns[name] = times(values) if name in TIMES else _column(values)
+    columns["run"] = columns["name"]
+    if any(labels and "run" in labels for labels in runs["labels"]):
+        names = columns["name"].tolist()
+        columns["run"] = Column.of(
+            [_label_of_run(labels, name) for labels, name in zip(runs["labels"], names, strict=True)]
+        )
     places = {run: place for place, run in enumerate(runs["id"])}
     complete = _with_intended(runs, results)
     have = np.array([places[run] for run in complete.runs], dtype=np.intp)
     without = np.setdiff1d(np.arange(len(runs["id"])), have)
     return _joined(columns, np.concatenate([have, without]), complete, left_out)
+
+
+def _column(values: Values) -> Column:
+    return values if isinstance(values, Column) else Column.of(values)
+
+
+def _list(values: Values) -> Sequence[Any]:
+    return values.tolist() if isinstance(values, Column) else values
 
 
 def _rest(document: str, held: Sequence[Document | None]) -> Sequence[Document | None]:
@@ -278,45 +305,50 @@ def _joined(columns: dict[str, Column], places: Indices, results: Results, left_
         left_out: names of results that make no columns.
     """
     padding = [None] * (len(places) - len(results.evaluations))
+    below = [Column.missing(len(padding))] if padding else []
     found = _values(results, left_out)
     each_once = np.array_equal(places, np.arange(len(places)))  # nearly always: nothing is to be moved
     joined = columns if each_once else {name: column.take(places) for name, column in columns.items()}
-    messages = [item or None for item in found.pop("message", ())]
+    messages = [item or None for item in _list(found.pop("message", ()))]
     for name, items in found.items():
         if name in _KEPT:
             continue
-        column = Column.of([*items, *padding])
+        column = Column.concatenate([_column(items), *below])
         joined[name] = _first(column, joined[name]) if name in joined else column
     if any(messages):
         joined["message"] = _first(joined["message"], Column.of([*messages, *padding]))
-    joined["evaluation"] = Column.of([*results.evaluations, *padding])
-    joined["outcome"] = Column.of([*results.outcomes, *padding])
-    joined["coverage"] = Column.of([*results.coverages, *padding])
+    for name, values in (
+        ("evaluation", results.evaluations),
+        ("outcome", results.outcomes),
+        ("coverage", results.coverages),
+    ):
+        joined[name] = Column.of([*values, *padding])
     if each_once:
         return joined, len(places)
     order = np.argsort(places, kind="stable")
     return {name: column.take(order) for name, column in joined.items()}, len(places)
 
 
-def _values(results: Results, left_out: frozenset[str]) -> dict[str, Sequence[Any]]:
+def _values(results: Results, left_out: frozenset[str]) -> dict[str, Values]:
     """Return the values that evaluators found, by joined names."""
-    found: dict[str, Sequence[Any]] = {}
+    found: dict[str, Values] = {}
     if not isinstance(results.values, Spread):
         spread(found, "", [*results.values, *results.more], left_out)
         return found
     found.update(results.values.below(None, left_out))
     if results.more:
-        added: dict[str, Sequence[Any]] = {}
+        added: dict[str, Values] = {}
         spread(added, "", results.more, left_out)
-        before, behind = [None] * results.values.length, [None] * len(results.more)
+        before, behind = Column.missing(results.values.length), Column.missing(len(results.more))
         for name in dict.fromkeys([*found, *added]):
-            found[name] = [*found.get(name, before), *added.get(name, behind)]
+            parts = [_column(found.get(name, before)), _column(added.get(name, behind))]
+            found[name] = Column.concatenate(parts)
     return found
 
 
 def _first(column: Column, other: Column) -> Column:
     """Return a column's values, another one's where it has none."""
-    if other.is_empty:
+    if other.is_empty or column.present.all():
         return column
     pairs = zip(column.tolist(), other.tolist(), strict=True)
     return Column.of([second if first is None else first for first, second in pairs])
@@ -337,7 +369,7 @@ def stack(parts: list[Part]) -> Part:
 
 
 def spread(
-    found: dict[str, Sequence[Any]],
+    found: dict[str, Any],
     prefix: str,
     documents: Sequence[Document | None],
     left_out: frozenset[str] = LEFT_OUT,
@@ -407,7 +439,11 @@ def bound(parts: Sequence[Part], known: Iterable[str], most: int) -> list[str]:
     return dropped
 
 
-def _spread_values(found: dict[str, Sequence[Any]], name: str, values: Sequence[Any]) -> None:
+def _spread_values(found: dict[str, Any], name: str, values: Values) -> None:
+    if isinstance(values, Column):
+        earlier = found.get(name)
+        found[name] = values if earlier is None else _first(values, _column(earlier))
+        return
     types = set(map(type, values))
     if types <= _DOCUMENT:
         spread(found, name, values)
@@ -422,11 +458,11 @@ def _spread_values(found: dict[str, Sequence[Any]], name: str, values: Sequence[
         return
     earlier = found.get(name)
     if earlier is not None:
-        values = [old if new is None else new for old, new in zip(earlier, values, strict=True)]
+        values = [old if new is None else new for old, new in zip(_list(earlier), values, strict=True)]
     found[name] = values
 
 
-def _spread_lists(found: dict[str, Sequence[Any]], name: str, values: Sequence[Any]) -> list[Any]:
+def _spread_lists(found: dict[str, Any], name: str, values: Sequence[Any]) -> list[Any]:
     """Write lists of records item by item; return what is no such list."""
     records = [
         value if type(value) is list and value and all(type(item) is dict for item in value) else ()

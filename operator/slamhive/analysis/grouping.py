@@ -11,16 +11,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.cells import Cell, Figure, Places, again, figures
+from slamhive.analysis.cells import CellColumns, Cells, GroupFigures, Places, again
 from slamhive.analysis.columns import Column, renumbered
 from slamhive.analysis.measures import BESIDE, CONFIGURATION, Better, follows_trajectory, is_error, measure_of
-from slamhive.analysis.statistics import edges
+from slamhive.analysis.statistics import bounds
 from slamhive.model.algorithm import Pace
-from slamhive.model.base import Choice
+from slamhive.model.base import Choice, plural
 from slamhive.model.results import Outcome, Reason
 
 if TYPE_CHECKING:
@@ -132,16 +133,21 @@ class Aggregate:
         facets: those of the keys that nobody asked for.
         metrics: what was summarised.
         cells: the groups.
-        members: places of the rows of each.
+        groups: the rows of each, as they are.
         notes: sentences on what is pooled and left out.
     """
 
     keys: tuple[str, ...]
     facets: tuple[str, ...]
     metrics: tuple[str, ...]
-    cells: list[Cell]
-    members: list[Indices]
+    cells: Cells
+    groups: Groups
     notes: tuple[str, ...] = field(default=())
+
+    @property
+    def members(self) -> Iterator[Indices]:
+        """The places of the rows of each group, in the order of their keys."""
+        return self.groups.members()
 
 
 class Groups:
@@ -167,17 +173,21 @@ class Groups:
         # Numbers of 16 bits are sorted several times as fast: by radix.
         short = self.of_row.astype(np.uint16) if self.count <= 1 << 16 else self.of_row
         self.order: Indices = np.argsort(short, kind="stable")
-        self.edges = edges(self.of_row[self.order], self.count)
+        self.bounds = bounds(self.of_row[self.order], self.count)
 
     @cached_property
     def keys(self) -> list[dict[str, Any]]:
         """The values that the rows of each group share, by column."""
-        firsts = np.array([self.order[begin] for begin, _ in self.edges], dtype=np.intp)
-        return self.frame.select(firsts).records(self.names)
+        return self.frame.select(self.firsts).records(self.names)
+
+    @property
+    def firsts(self) -> Indices:
+        """The place of the first row of each group, (groups,)."""
+        return self.order[self.bounds[:-1]]
 
     def members(self) -> Iterator[Indices]:
         """Go through the rows of each group, in their order."""
-        for begin, end in self.edges:
+        for begin, end in pairwise(self.bounds.tolist()):
             yield self.order[begin:end]
 
 
@@ -204,14 +214,13 @@ def aggregate(
     asked += across
     frame, facets = apart(frame, asked, metrics)
     groups = Groups(frame, [*facets, *asked])
-    members = list(groups.members())
     cells = _cells(groups, metrics, outcomes)
     pooled = [name for name in changing if name not in groups.names]
     notes = [*pooling_notes(pooled), *idle_notes(frame, pooled)]
     notes += [*disturbance_notes(frame, metrics), *finding_notes(frame)]
-    notes += copy_notes(sum(cell.copies for cell in cells), metrics) + reader_notes(frame, metrics)
+    notes += copy_notes(int(cells.columns.copies.sum()), metrics) + reader_notes(frame, metrics)
     notes += chosen_notes(frame) + origin_notes(frame)
-    return Aggregate(groups.names, tuple(facets), tuple(metrics), cells, members, tuple(notes))
+    return Aggregate(groups.names, tuple(facets), tuple(metrics), cells, groups, tuple(notes))
 
 
 def condition_words(names: Sequence[str]) -> str:
@@ -254,9 +263,9 @@ def disturbance_notes(frame: Frame, metrics: Sequence[str]) -> list[str]:
     left_out = [name for name in metrics if name in DISTURBED]
     count = frame.count_runs(frame.column("disturbed").floats() > 0) if left_out else 0
     if count:
-        runs = "1 run" if count == 1 else f"{count} runs"
         notes.append(
-            f"{runs} shared cores with other work or were throttled: left out of {', '.join(left_out)}"
+            f"{plural(count, 'run')} shared cores with other work or were throttled: left out of "
+            f"{', '.join(left_out)}"
         )
     timed = where_equal(frame, "input.pace", Pace.REALTIME.value)
     others = [pace.value for pace in Pace if where_equal(frame, "input.pace", pace.value)[~timed].any()]
@@ -275,7 +284,7 @@ def late_notes(frame: Frame, metrics: Iterable[str]) -> list[str]:
     if not count:
         return []
     late = frame.column("lateSeconds").floats()
-    runs = "" if len(frame) == 1 else " in 1 run" if count == 1 else f" in {count} runs"
+    runs = "" if len(frame) == 1 else f" in {plural(count, 'run')}"
     return [late_words(float(np.nanmax(late)), runs)]
 
 
@@ -342,7 +351,7 @@ def chosen_notes(frame: Frame) -> list[str]:
     if column.is_empty:
         return []
     count, rest = frame.count_runs(column.present), frame.count_runs()
-    share = "all runs were" if count == rest else f"{_runs_text(count)} of {rest:,} were"
+    share = "all runs were" if count == rest else f"{plural(count, 'run')} of {rest:,} were"
     return [f"{CHOSEN} {share} chosen by a search for its results ({_methods(frame)}): no fair sample"]
 
 
@@ -356,7 +365,7 @@ def origin_notes(frame: Frame) -> list[str]:
     for keys, rows in zip(groups.keys, groups.members(), strict=True):
         mine = foreign.select(rows)
         words = mine.column(ORIGIN).factorized()[1]
-        runs = _runs_text(mine.count_runs())
+        runs = plural(mine.count_runs(), "run")
         word = " and ".join(sorted({str(one).partition(" (")[0] for one in words}))
         told.append(f"{keys['algorithm']}: {word} ({runs} from {keys['origin.source']})")
     return _first(told)
@@ -376,12 +385,8 @@ def without_chosen(frame: Frame) -> tuple[Frame, list[str]]:
         return frame, chosen_notes(frame)
     count = frame.count_runs(chosen)
     verb = "is" if count == 1 else "are"
-    told = f"{_runs_text(count)} that a search chose by results ({_methods(frame)}) {verb} left out"
+    told = f"{plural(count, 'run')} that a search chose by results ({_methods(frame)}) {verb} left out"
     return frame.select(~chosen), [told]
-
-
-def _runs_text(count: int) -> str:
-    return "1 run" if count == 1 else f"{count:,} runs"
 
 
 def _methods(frame: Frame) -> str:
@@ -433,9 +438,7 @@ def failing(frame: Frame, outcomes: Outcomes) -> Mask:
     words = FAILED_OF_ITSELF
     if outcomes is Outcomes.TRACKED:
         words = words | {Outcome.PARTIAL.value, Outcome.LOST.value, Outcome.DIVERGED.value}
-    verdicts = np.array([value in words for value in (*status.values, None)], dtype=bool)
-    failed: Mask = verdicts[status.codes]
-    return failed
+    return status.among(words)
 
 
 def falling_short(frame: Frame, metric: str) -> Mask:
@@ -533,11 +536,7 @@ class Copies:
 
 def where_equal(frame: Frame, name: str, value: Any) -> Mask:
     """Tell which rows have a value in a column of texts, (n,)."""
-    column = frame.column(name)
-    if column.kind.is_numeric or value not in column.values:
-        return np.zeros(len(frame), dtype=bool)
-    equal: Mask = column.codes == column.values.index(value)
-    return equal
+    return frame.column(name).among((value,))
 
 
 def sound(frame: Frame, name: str, outcomes: Outcomes = Outcomes.TRACKED) -> Mask:
@@ -609,7 +608,7 @@ def _filled(frame: Frame, asked: Sequence[str], facets: Sequence[str]) -> Frame:
     whole = [name for name in facets if name not in partly]
     same = list(dict.fromkeys([*asked, *whole, "evaluation"]))
     groups, alike = Groups(frame, [*same, *partly]), Groups(frame, same)
-    first = np.array([group[0] for group in groups.members()], dtype=np.intp)
+    first = groups.firsts
     values = {name: _places(frame.column(name))[first] for name in partly}
     of_alike = alike.of_row[first]
     taken = {name: places.copy() for name, places in values.items()}
@@ -661,55 +660,50 @@ def _differs(column: Column, example: Indices) -> bool:
     return not same.all()
 
 
-def _cells(groups: Groups, metrics: Sequence[str], outcomes: Outcomes) -> list[Cell]:
+def _cells(groups: Groups, metrics: Sequence[str], outcomes: Outcomes) -> Cells:
     """Return the cell of each group: its runs, failures and figures."""
-    frame, places = groups.frame, Places(groups.order, groups.edges)
+    frame, places = groups.frame, Places(groups.order, groups.bounds)
     status = frame.column("status")
     codes = status.codes.astype(np.intp)
     counted = counting(frame, outcomes)
-    coverage = covered(frame)
     once = ~Copies(frame, outcomes).among(groups.of_row)
     results = counted & once if any(map(follows_trajectory, metrics)) else counted
     words, faults = _findings(frame)
     faulty = places.tallies([" ".join(one) for one in words], faults, faults >= 0)
-    reading = places.counts(holds_reader(frame, metrics)) > 0
-    late = places.counts(falls_behind(frame, metrics)) > 0
-    chosen = places.counts(frame.column(SEARCHED).present) > 0
-    shown = [_figures(frame, places, name, counted=counted, once=once, outcomes=outcomes) for name in metrics]
-    lists = zip(
-        groups.keys,
-        places.counts(np.ones(len(frame), dtype=bool)).tolist(),
-        places.counts(results).tolist(),
-        places.counts(counted & ~results).tolist(),
+    untracked = counted & ~where_equal(frame, "status", Outcome.TRACKED.value)
+    columns = CellColumns(
+        frame.select(groups.firsts),
+        groups.names,
+        places.counts(np.ones(len(frame), dtype=bool)),
+        places.counts(results),
+        places.counts(counted & ~results),
         places.tallies(status.values, codes, ~counted),
-        places.tallies(status.values, codes, counted),
-        places.numbers(coverage, once).summaries(),
-        zip(*shown, strict=True) if shown else [()] * places.count,
-        faulty,
-        reading.tolist(),
-        late.tolist(),
-        chosen.tolist(),
-        strict=True,
+        places.tallies(status.values, codes, untracked),
+        places.numbers(covered(frame), once).summaries(),
+        {
+            name: _figures(frame, places, name, counted=counted, once=once, outcomes=outcomes)
+            for name in metrics
+        },
+        {
+            group: tuple(sorted({code for one in wrong for code in one.split()}))
+            for group, wrong in faulty.items()
+        },
+        places.counts(holds_reader(frame, metrics)) > 0,
+        places.counts(falls_behind(frame, metrics)) > 0,
+        places.counts(frame.column(SEARCHED).present) > 0,
     )
-    found = []
-    for keys, runs, n, copies, failures, untracked, covering, row, wrong, reader, behind, picked in lists:
-        untracked.pop(Outcome.TRACKED.value, None)
-        by_name = dict(zip(metrics, row, strict=True))
-        known = tuple(sorted({code for codes_ in wrong for code in codes_.split()}))
-        counts = (runs, n, copies, failures, untracked, covering)
-        found.append(Cell(keys, *counts, by_name, known, reader, behind, picked))
-    return found
+    return Cells(columns, np.arange(groups.count))
 
 
 def _figures(
     frame: Frame, places: Places, name: str, *, counted: Mask, once: Mask, outcomes: Outcomes
-) -> list[Figure]:
+) -> GroupFigures:
     meant = once if follows_trajectory(name) else np.ones_like(once)
     inside = counted & meant & sound(frame, name, outcomes)
     numbers = places.numbers(frame.column(name).floats(), inside)
     if not is_error(name):
-        return figures(numbers)
-    return figures(numbers, places.counts(worst(frame, name, outcomes) & meant), measure_of(name).sign)
+        return GroupFigures(numbers)
+    return GroupFigures(numbers, places.counts(worst(frame, name, outcomes) & meant), measure_of(name).sign)
 
 
 def tally(words: Sequence[str], codes: npt.NDArray[np.int32]) -> dict[str, int]:

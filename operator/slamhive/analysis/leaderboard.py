@@ -267,7 +267,7 @@ def _standings(grid: Grid, ranks: Floats) -> Iterator[tuple[int, Standing]]:
         places.counts(grid.counted & grid.once).tolist(),
         places.counts(grid.counted & ~grid.once).tolist(),
         grid.failures(),
-        grid.figures.summaries(),
+        map(grid.figures.summaries().of, range(places.count)),
         grid.mean_coverages(),
         strict=True,
     )

@@ -84,7 +84,7 @@ def _front(grid: Grid, x: str) -> Front:
     if follows_trajectory(x):
         inside &= grid.once
     costs = grid.places.numbers(grid.frame.column(x).floats(), inside)
-    across = np.array([np.nan if median is None else median for median in costs.medians()])
+    across = costs.medians()
     up = grid.medians[grid.at[:, 0], grid.at[:, 1]]
     way = measure_of(x).sign
     lists = zip(

@@ -103,10 +103,9 @@ class Ranking:
 
     def medians(self, groups: Groups) -> Floats:
         """Return the median cost of each group, failed runs last, (groups,): NaN where no run has a rank."""
-        places = Places(groups.order, groups.edges)
+        places = Places(groups.order, groups.bounds)
         once = self._once(groups.of_row)
-        found = places.numbers(self._costs, self.inside & once).medians(places.counts(self.failed & once))
-        return np.array([np.nan if median is None else median for median in found])
+        return places.numbers(self._costs, self.inside & once).medians(places.counts(self.failed & once))
 
     def _once(self, of_row: Indices) -> Mask:
         if self._copies is None:

@@ -4,24 +4,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from slamhive.analysis.columns import Column, ColumnKind, count_distinct, sort_key
+from slamhive.analysis.columns import Column, ColumnKind, count_distinct
 from slamhive.analysis.expressions import parse_where
 from slamhive.analysis.grouping import where_equal
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.results import Phase, Reason
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Sequence
 
     from slamhive.analysis.columns import Floats, Indices, Mask
     from slamhive.analysis.conditions import Node
     from slamhive.analysis.frame import Frame
-
-T = TypeVar("T")
 
 UNIQUE = ("id", "evaluation")
 """Columns that every order ends with, so that no two rows are equal in it."""
@@ -121,26 +120,26 @@ def meeting(frame: Frame, node: Node | None, *, superseded: bool = False, each: 
     old = frame.count_runs(left_out)
     notes = []
     if old:
-        notes.append(f"{_counted(old)} of earlier versions left out ({_why(frame, left_out)})")
+        notes.append(f"{plural(old, 'run')} of earlier versions left out ({_why(frame, left_out)})")
     if node is not None or left_out.any():
         frame = frame.select(inside)
     again = 0
     if not each:
-        unfinished = _among(frame.column("phase"), _UNFINISHED)
+        unfinished = frame.column("phase").among(_UNFINISHED)
         if unfinished.any():
-            notes.append(f"{_counted(frame.count_runs(unfinished))} not finished yet")
+            notes.append(f"{plural(frame.count_runs(unfinished), 'run')} not finished yet")
             frame = frame.select(~unfinished)
         kept = once(frame)
         again = frame.count_runs(~kept)
         if again:
             repeat = "repeats" if again == 1 else "repeat"
-            notes.append(f"{_counted(again)} {repeat} the content of others: equal content counts once")
+            notes.append(f"{plural(again, 'run')} {repeat} the content of others: equal content counts once")
             frame = frame.select(kept)
     if not len(frame) and old:
         are = "is" if old == 1 else "are"
         why = _why_alone(notes[0])
         notes = [
-            f"all {_counted(old)} selected {are} of earlier versions ({why}): ask for superseded results"
+            f"all {plural(old, 'run')} selected {are} of earlier versions ({why}): ask for superseded results"
         ]
     return Chosen(frame, (*notes, *_outdated_notes(frame)), old, again)
 
@@ -172,10 +171,6 @@ def _outdated_notes(frame: Frame) -> list[str]:
 
 def _why_alone(note: str) -> str:
     return note.partition("(")[2].rstrip(")")
-
-
-def _counted(count: int) -> str:
-    return "1 run" if count == 1 else f"{count:,} runs"
 
 
 def _why(frame: Frame, mask: Mask) -> str:
@@ -232,16 +227,9 @@ def preference(frame: Frame) -> Indices:
 
 
 def _ended_by_others(frame: Frame) -> Mask:
-    reason = _among(frame.column("reason"), _INFRASTRUCTURE)
-    return reason | _among(frame.column("phase"), {Phase.CANCELLED.value})
-
-
-def _among(column: Column, words: frozenset[str] | set[str]) -> Mask:
-    if column.kind.is_numeric:
-        return np.zeros(len(column), dtype=bool)
-    verdicts = np.array([value in words for value in (*column.values, None)], dtype=bool)
-    found: Mask = verdicts[column.codes]
-    return found
+    return frame.column("reason").among(_INFRASTRUCTURE) | frame.column("phase").among(
+        {Phase.CANCELLED.value}
+    )
 
 
 def of_sweep(frame: Frame, name: str) -> Mask:
@@ -261,7 +249,7 @@ def of_sweep(frame: Frame, name: str) -> Mask:
         chosen &= here if namespace else ~frame.column("namespace").present
     elif not chosen.any() and len(name) >= _LEAST_UID:
         uids = frame.column("sweep.uid")
-        chosen = _among(uids, {uid for uid in uids.values if str(uid).startswith(name)})
+        chosen = uids.among({uid for uid in uids.values if str(uid).startswith(name)})
     if not chosen.any():
         known = [str(one) for one in frame.column("sweep").factorized()[1] if one is not None]
         raise UnknownNameError("sweep", name, known, argument="sweep")
@@ -285,24 +273,6 @@ def first_rows(frame: Frame) -> Indices:
     """Return the place of the first row of each run, in their order."""
     _, firsts = np.unique(frame.column("id").floats(), return_index=True)
     return np.sort(firsts)
-
-
-def order_by(items: Iterable[T], columns: Iterable[str], get: Callable[[T, str], Any]) -> list[T]:
-    """Return items sorted by columns, the first one slowest.
-
-    Args:
-        items: what to sort; equal ones keep their order.
-        columns: names; a dash before one turns its order round. What is missing comes last either way.
-        get: returns an item's value of a column.
-    """
-    found = list(items)
-    for column in reversed(list(columns)):
-        name = column.removeprefix("-")
-        present = [item for item in found if get(item, name) is not None]
-        absent = [item for item in found if get(item, name) is None]
-        present.sort(key=lambda item: sort_key(get(item, name)), reverse=column.startswith("-"))
-        found = present + absent
-    return found
 
 
 def order_rows(frame: Frame, sort: Sequence[str]) -> Indices:

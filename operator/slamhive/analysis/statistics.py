@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,8 +13,6 @@ import numpy as np
 from slamhive_eval.statistics import student_quantile
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     import numpy.typing as npt
 
     Floats = npt.NDArray[np.float64]
@@ -75,6 +72,36 @@ class Interval:
         return self if sign > 0 else Interval(-self.high, -self.low, self.method)
 
 
+@dataclass(frozen=True)
+class Summaries:
+    """The summaries of many groups as columns.
+
+    Attributes:
+        n: how many numbers each has, (groups,).
+        mean, std, median, min, max: as those of `Summary`, (groups,), NaN where it has none.
+    """
+
+    n: Indices
+    mean: Floats
+    std: Floats
+    median: Floats
+    min: Floats
+    max: Floats
+
+    def of(self, group: int) -> Summary | None:
+        """Return the summary of a group, None for one of nothing."""
+        if not self.n[group]:
+            return None
+        columns = (self.mean, self.std, self.median, self.min, self.max)
+        mean, std, median, low, high = (float(column[group]) for column in columns)
+        return Summary(int(self.n[group]), mean, None if self.n[group] < 2 else std, median, low, high)
+
+    def taken(self, groups: Indices) -> Summaries:
+        """Return those of some groups, by their places."""
+        columns = (self.mean, self.std, self.median, self.min, self.max)
+        return Summaries(self.n[groups], *(column[groups] for column in columns))
+
+
 class Numbers:
     """Finite numbers of groups.
 
@@ -87,32 +114,30 @@ class Numbers:
     def __init__(self, values: Floats, of_value: Indices, count: int) -> None:
         self._values, self._of_value = values, of_value
         self.counts = np.bincount(of_value, minlength=count)
-        ends = np.cumsum(self.counts)
-        self._starts = ends - self.counts
-        self._edges = list(zip(self._starts.tolist(), ends.tolist(), strict=True))
+        self._ends = np.cumsum(self.counts)
+        self._starts = self._ends - self.counts
         self._ordered = values[np.lexsort((values, of_value))]
 
     def times(self, sign: float) -> Numbers:
         """Return the numbers as costs, small is good: turned round by -1."""
         return self if sign > 0 else Numbers(-self._values, self._of_value, len(self.counts))
 
-    def points(self) -> Iterator[tuple[float, ...]]:
-        """Go through the numbers of each group as they came; none where they are many."""
-        plain = self._values.tolist()
-        for begin, end in self._edges:
-            yield tuple(plain[begin:end]) if end - begin < ENOUGH else ()
+    def points(self, group: int) -> tuple[float, ...]:
+        """Return the numbers of a group as they came; none where they are many."""
+        if self.counts[group] >= ENOUGH:
+            return ()
+        return tuple(self._values[self._starts[group] : self._ends[group]].tolist())
 
     def ordered(self, group: int) -> Floats:
         """Return the numbers of a group, sorted, (n,)."""
-        begin, end = self._edges[group]
-        return self._ordered[begin:end]
+        return self._ordered[self._starts[group] : self._ends[group]]
 
     def ends(self) -> tuple[Floats, Floats]:
         """Return the smallest and largest number of each group, (groups,) each, NaN for those of nothing."""
         low, high = np.full((2, len(self.counts)), np.nan)
         some = np.flatnonzero(self.counts)
         low[some] = self._ordered[self._starts[some]]
-        high[some] = self._ordered[(self._starts + self.counts - 1)[some]]
+        high[some] = self._ordered[self._ends[some] - 1]
         return low, high
 
     def means(self) -> Floats:
@@ -124,8 +149,8 @@ class Numbers:
             found[groups] = self._values[self._starts[groups, None] + np.arange(count)].mean(axis=1)
         return found
 
-    def medians(self, behind: Indices | None = None) -> list[float | None]:
-        """Return the median of each group, None for those of nothing.
+    def medians(self, behind: Indices | None = None) -> Floats:
+        """Return the median of each group, (groups,), NaN for those of nothing.
 
         Args:
             behind: how many further ones of each group rank behind all its numbers, (groups,): +inf.
@@ -133,8 +158,9 @@ class Numbers:
         extra = np.zeros_like(self.counts) if behind is None else behind
         totals = self.counts + extra
         low, high = self._placed((totals - 1) // 2), self._placed(totals // 2)
-        found = np.where(totals % 2 == 1, high, (low + high) / 2).tolist()
-        return [median if total else None for median, total in zip(found, totals.tolist(), strict=True)]
+        found = np.where(totals % 2 == 1, high, (low + high) / 2)
+        found[totals == 0] = np.nan
+        return found
 
     def _placed(self, places: Indices) -> Floats:
         """Return the number at a place of each group's order, (groups,), +inf behind the last."""
@@ -143,22 +169,28 @@ class Numbers:
         found[inside] = self._ordered[(self._starts + places)[inside]]
         return found
 
-    def summaries(self) -> list[Summary | None]:
-        """Return the summary of each group, None for those of nothing; sums are exact until rounded."""
-        plain, fsum = self._values.tolist(), math.fsum
-        means = [fsum(plain[begin:end]) / (end - begin) if end > begin else 0.0 for begin, end in self._edges]
-        deviations = self._values - np.repeat(np.array(means), self.counts)
-        squares = (deviations * deviations).tolist()
-        medians, ordered = self.medians(), self._ordered
-        found: list[Summary | None] = []
-        for (begin, end), mean, median in zip(self._edges, means, medians, strict=True):
-            count = end - begin
-            if median is None:
-                found.append(None)
-                continue
-            std = math.sqrt(fsum(squares[begin:end]) / (count - 1)) if count > 1 else None
-            low, high = (float(ordered[begin]), float(ordered[end - 1])) if count > 1 else (median, median)
-            found.append(Summary(count, mean, std, median, low, high))
+    def summaries(self) -> Summaries:
+        """Return the summary of each group; sums are exact until rounded."""
+        means = self._sums(self._values) / np.maximum(self.counts, 1)
+        deviations = self._values - np.repeat(means, self.counts)
+        squares = self._sums(deviations * deviations)
+        several = self.counts > 1
+        std = np.full(len(self.counts), np.nan)
+        std[several] = np.sqrt(squares[several] / (self.counts[several] - 1))
+        means[self.counts == 0] = np.nan
+        return Summaries(self.counts, means, std, self.medians(), *self.ends())
+
+    def _sums(self, values: Floats) -> Floats:
+        """Return the sum of each group, (groups,), as exact as `math.fsum`: that of two numbers is."""
+        found = np.zeros(len(self.counts))
+        some = self.counts > 0
+        found[some] += values[self._starts[some]]
+        two = self.counts == 2
+        found[two] += values[self._starts[two] + 1]
+        plain, fsum = values.tolist(), math.fsum
+        more = np.flatnonzero(self.counts > 2)
+        edges_of_more = zip(self._starts[more].tolist(), self._ends[more].tolist(), strict=True)
+        found[more] = [fsum(plain[begin:end]) for begin, end in edges_of_more]
         return found
 
 
@@ -367,7 +399,6 @@ def rank_correlation(first: Floats, second: Floats) -> float | None:
     return float(a @ b) / scale if scale else None
 
 
-def edges(codes: npt.NDArray[np.intp], count: int) -> list[tuple[int, int]]:
-    """Return the begin and end of each of some groups among sorted group numbers."""
-    bounds = np.searchsorted(codes, np.arange(count + 1))
-    return list(pairwise(bounds.tolist()))
+def bounds(codes: npt.NDArray[np.intp], count: int) -> Indices:
+    """Return the place of each group's beginning among sorted group numbers, and the end, (count + 1,)."""
+    return np.searchsorted(codes, np.arange(count + 1))

@@ -20,7 +20,7 @@ from sqlalchemy import Connection, Engine, create_engine, event, exc, insert, in
 from sqlalchemy.dialects import sqlite
 from sqlalchemy.engine import URL, make_url
 
-from slamhive.analysis.shapes import MissingShapeError
+from slamhive.analysis.compact.shapes import MissingShapeError
 from slamhive.archive import schema
 from slamhive.data.files.once import flush
 from slamhive.model.errors import InputError, SystemFault

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import DateTime, Float, String, Text, cast, func, select, type_coerce
 
-from slamhive.analysis.shapes import divide, is_divided, join, loads
+from slamhive.analysis.compact.shapes import divide, is_divided, join, loads
 from slamhive.archive import schema
 from slamhive.archive.connection import insert_into
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from sqlalchemy import ColumnElement, Connection, Table
 
-    from slamhive.analysis.shapes import Shape
+    from slamhive.analysis.compact.shapes import Shape
 
 MOST_SHAPES = 5_000
 """Shapes of a document's kind from which on new ones are not written: what is never alike stays as it is."""

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import delete, func, insert, select, text, update
 
-from slamhive.analysis.shapes import Shape
+from slamhive.analysis.compact.shapes import Shape
 from slamhive.archive import documents as documents_of_runs
 from slamhive.archive import schema
 from slamhive.archive.archive import BATCH

@@ -7,6 +7,7 @@ import sys
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,20 +20,22 @@ from slamhive.analysis.frame import Frame
 from slamhive.analysis.grouping import SEARCHED, Outcomes, aggregate, late_notes, varies, varying
 from slamhive.analysis.measures import CAUSAL
 from slamhive.analysis.metrics import Metric, declared_units
-from slamhive.analysis.selection import Chosen, Selection, choose, order_by, order_rows
+from slamhive.analysis.selection import Chosen, Selection, choose, order_rows
 from slamhive.bridges.targets import BridgeTarget
 from slamhive.cli.forgetting import prune
 from slamhive.cli.onerun import note_runs, show_run
 from slamhive.cli.parts.choosing import Also, EvaluationName, Output, Superseded, Where, choose_runs
-from slamhive.cli.parts.console import complain, listing, open_workbench, out, plural, remark
+from slamhive.cli.parts.console import complain, listing, open_workbench, out, remark
 from slamhive.cli.parts.exits import FAILED
+from slamhive.cli.parts.nodes import show_nodes
 from slamhive.cli.parts.robustness import show_robustness
-from slamhive.cli.parts.tables import PrintFormat, show, write_json, write_markdown
+from slamhive.cli.parts.tables import PrintFormat, show, show_columns, write_json, write_markdown
 from slamhive.cli.parts.waiting import Work
 from slamhive.cli.suspecting import show_suspects
 from slamhive.contract.lines import printable
 from slamhive.data.files.outputs import output_whole
 from slamhive.local.home.folder import Home
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.tables.homes import COLUMN, homes_beside, read_homes
 from slamhive.tables.queries import split_names
@@ -43,7 +46,7 @@ from slamhive.tables.text import (
     implied,
     key_text,
     key_title,
-    table_lines,
+    table_columns,
     time_text,
     value_text,
 )
@@ -56,7 +59,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from typing import TextIO
 
-    from slamhive.analysis.cells import Cell
     from slamhive.analysis.grouping import Aggregate
     from slamhive.tables.published import Published
 
@@ -202,31 +204,30 @@ def show_table(
     with uncollected():
         found = aggregate(frame, [one.column for one in metrics], by, outcomes, across)
     if not metric:
-        metrics = [one for one in metrics if any(cell.figures[one.column].summary for cell in found.cells)]
-    found = _sorted_cells(found, sort)
+        figures = found.cells.columns.figures
+        metrics = [one for one in metrics if figures[one.column].summaries.n.any()]
+    found = replace(found, cells=found.cells.sorted(_order(found, sort)))
     beside: list[Published] = []
     if published:
         from slamhive.cli.published import found_for, print_published
 
         beside = found_for(frame)
-    flat = (
-        [*flat_cells(found), *(one.flat() for one in beside)]
-        if form in {PrintFormat.JSON, PrintFormat.CSV}
-        else []
-    )
+    others = [one.flat() for one in beside]
     match form:
         case PrintFormat.JSON:
-            write_json(sys.stdout, flat)
+            write_json(sys.stdout, chain(flat_cells(found), others))
         case PrintFormat.CSV:
-            names = list(dict.fromkeys(name for row in flat for name in row))
+            first = islice(flat_cells(found), 1)  # the others have the same names
+            names = list(dict.fromkeys(name for row in (*first, *others) for name in row))
+            flat = chain(flat_cells(found), others)
             write_csv(sys.stdout, names, ([row.get(name) for name in names] for row in flat))
         case _:
             shared = {name: value for name, value in constants(found, by or ()).items() if name not in across}
             if shared:
                 _print_shared(shared)
             with declared_units(frame.units), uncollected():
-                written = table_lines(found, across, metrics, {*shared, *implied(found, by or ())})
-                _print(form, *written)
+                written = table_columns(found, across, metrics, {*shared, *implied(found, by or ())})
+                _print_columns(form, *written)
             shown = [*(one.column for one in metrics), "coverage"]
             said = meanings(frame, shown) if found.cells else []
             for note in (*said, *found.notes, *disproportion_notes(frame)):
@@ -372,6 +373,7 @@ def measure(
 
 
 app.command("suspects")(show_suspects)
+app.command("nodes")(show_nodes)
 app.command("robustness")(show_robustness)
 app.command("prune")(prune)
 
@@ -471,23 +473,14 @@ def _sorted(frame: Frame, sort: str | None, usual: Sequence[str] = ()) -> Frame:
     return frame.select(order_rows(frame, order)) if order else frame
 
 
-def _sorted_cells(found: Aggregate, sort: str | None) -> Aggregate:
-    """Sort a table's groups by keys, means of metrics, coverage or n."""
+def _order(found: Aggregate, sort: str | None) -> list[str]:
+    """Return the order of a table's groups: keys, means of metrics, coverage or n."""
     asked = _names(sort) or []
     known = [*found.keys, *found.metrics, "coverage", "n"]
     for name in asked:
         if name.removeprefix("-") not in known:
             raise UnknownNameError("column", name.removeprefix("-"), known, "--sort")
-
-    def get(cell: Cell, name: str) -> Any:
-        if name in cell.keys:
-            return cell.keys[name]
-        if name == "n":
-            return cell.n
-        summary = cell.coverage if name == "coverage" else cell.figures[name].summary
-        return summary.mean if summary else None
-
-    return replace(found, cells=order_by(found.cells, asked, get))
+    return asked
 
 
 def _print_shared(keys: Mapping[str, Any]) -> None:
@@ -502,6 +495,13 @@ def _print(form: PrintFormat, headings: Sequence[str], lines: Sequence[Sequence[
         show(out, headings, lines)
 
 
+def _print_columns(form: PrintFormat, headings: Sequence[str], columns: Sequence[Sequence[str]]) -> None:
+    if form is PrintFormat.MARKDOWN:
+        write_markdown(sys.stdout, headings, zip(*columns, strict=True))
+    else:
+        show_columns(out, headings, columns)
+
+
 def _remark(chosen: Chosen, found: Aggregate | None = None) -> None:
     """Say what was left out, and what a table that shows little lacks."""
     for note in chosen.notes:
@@ -511,7 +511,7 @@ def _remark(chosen: Chosen, found: Aggregate | None = None) -> None:
 
         location = shown(Home.from_environment().archive_url)
         remark(f"no such run in {location}; slamhive demo, run and import add runs")
-    elif found is not None and found.cells and not any(cell.n for cell in found.cells):
+    elif found is not None and found.cells and not found.cells.columns.n.any():
         remark("no run counts, so nothing is averaged; --outcomes all takes all runs that were evaluated")
 
 

@@ -130,6 +130,10 @@ def divide(
     return Division(sweeps, namespaces)
 
 
+Place = str | tuple[int, str]
+"""A Sweep by its name, or a namespace among those of its priority."""
+
+
 @dataclass
 class Turns:
     """Account of the slots that contenders were short of, so that those who share one take turns.
@@ -139,7 +143,7 @@ class Turns:
             number, as far as whole slots are the reason.
     """
 
-    owed: dict[str | tuple[int, str], float] = field(default_factory=dict)
+    owed: dict[Place, float] = field(default_factory=dict)
 
     def pass_by(self, seconds: float, contenders: Sequence[Contender], division: Division) -> None:
         """Let time pass, in which contenders held what they hold.
@@ -149,13 +153,14 @@ class Turns:
             contenders: all of them; others are forgotten.
             division: their fair numbers.
         """
-        held: dict[str | tuple[int, str], int] = {}
+        held: dict[Place, int] = {}
         for one in contenders:
             held[one.name] = one.held
             place = (one.priority, one.namespace)
             held[place] = held.get(place, 0) + one.held
-        fairs: dict[str | tuple[int, str], float] = dict(division.sweeps.items())
-        fairs |= dict(division.namespaces)
+        fairs: dict[Place, float] = {}
+        fairs.update(division.sweeps.items())
+        fairs.update(division.namespaces.items())
         self.owed = {
             key: self.owed.get(key, 0.0) + seconds * _short(fairs[key], count) for key, count in held.items()
         }

@@ -222,19 +222,21 @@ class FeltRoom:
         """Tell whether there was no room for more when it was last felt for."""
         return math.isfinite(self.ceiling) and self.limit <= self.ceiling + 1
 
-    def note(self, placed: int, refused: int, held: int) -> None:
+    def note(self, placed: int, refused: int, used: int, held: int, *, is_drained: bool = False) -> None:
         """Note what has become of runs.
 
         Args:
-            placed: pods that found a node since the last time, and runs that ended without one.
+            placed: pods that found a node at once, and runs that ended before they were seen to have one.
             refused: pods that were found to have none.
-            held: runs in flight, without those that wait for a node.
+            used: slots that were held since the last time.
+            held: slots that are held now: runs in flight, without those that wait for a node.
+            is_drained: whether the last pod that waited has found a node.
         """
-        # As far as it is known to hold them it grows quickly, and from there by one at a time: of pods that
-        # nothing has room for there is one or so.
-        for _ in range(placed):
-            self.limit += 2 if self.limit < self.ceiling else 1
-        self.limit = min(self.limit, max(self.first, 2 * held))
         if refused:
             self.ceiling = held
             self.limit = max(1, held)
+        elif self.limit < self.ceiling:
+            grown = min(self.limit + 2 * placed, self.ceiling + 1, max(self.first, 2 * used))
+            self.limit = max(self.limit, int(grown))
+        elif (placed or is_drained) and max(used, held) >= self.limit:
+            self.limit += 1  # one more is tried, so that of pods that nothing has room for there is one or so

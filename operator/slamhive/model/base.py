@@ -149,6 +149,15 @@ def optional(description: str, **settings: Any) -> Any:
     return Field(default=None, description=description, **settings)
 
 
+def plural(count: int, noun: str) -> str:
+    """Return a count with its noun.
+
+    >>> plural(1, "run"), plural(3, "run")
+    ('1 run', '3 runs')
+    """
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"
+
+
 class Choice(StrEnum):
     """An enumeration of words; members print as the word itself."""
 

@@ -298,7 +298,7 @@ def _study_sheet(made: Study, number: int) -> Sheet:
                 range_text(metric, summary),
                 f"{n_of_runs(cell)}{marked(cell)}",
                 number_text(cell.coverage.mean if cell.coverage else None),
-                failures_text(cell),
+                failures_text(cell.failures, cell.untracked),
             ]
         )
         row = {**cell.keys, "runs": cell.runs, "n": cell.n, "copies": cell.copies, "failures": cell.failures}

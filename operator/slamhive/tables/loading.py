@@ -4,85 +4,44 @@
 The archive has no word for "changed since": so each look compares the short columns of all rows with those
 of the last look, and reads the documents of those runs that differ. A look is only taken when the database
 says that anything at all was written.
-
-Runs that can't be read are left out, and named: those of which `archive.rows` can make no record. Rows are
-only looked through for them where some can't be made columns of, or hold something of another type.
 """
 
 from __future__ import annotations
 
-import hashlib
-from dataclasses import dataclass, field, replace
-from datetime import datetime
-from functools import partial
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from sqlalchemy import select, text
 
-from slamhive.analysis.columns import ColumnKind
+from slamhive.analysis.columns import Column
 from slamhive.analysis.derived import SweepVersion, with_derived
 from slamhive.analysis.flattening import (
-    LEFT_OUT,
     MAX_COLUMNS,
-    OF_RUN,
-    TIMES,
-    Results,
-    Spread,
     bound,
-    columns_of_runs,
     stack,
 )
 from slamhive.analysis.frame import Frame
-from slamhive.analysis.shapes import is_divided, join, loads, names_of
-from slamhive.archive import documents, schema
-from slamhive.archive.connection import reading, shown
-from slamhive.archive.documents import UNREADABLE, raw
-from slamhive.archive.rows import read_rows, read_runs, why
-from slamhive.model.errors import InputError
-from slamhive.model.results import Outcome, Phase
+from slamhive.archive import schema
+from slamhive.archive.connection import reading
+from slamhive.archive.documents import raw
+from slamhive.archive.rows import read_rows
 from slamhive.model.search import choosing_method
+from slamhive.tables.batches import CHANGES, RESULT_CHANGES, BatchReader
+from slamhive.tables.helping import read_all
+from slamhive.tables.marks import RunMarks
 from slamhive.tables.snapshots import Loaded, derived
-from slamhive.tables.uncollected import uncollected
+from slamhive.tables.uncollected import return_memory, uncollected
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from collections.abc import Set as AbstractSet
+    from collections.abc import Iterator
 
-    import numpy.typing as npt
-    from sqlalchemy import Connection, Engine, Row
+    from sqlalchemy import Connection, Engine, Select
 
     from slamhive.analysis.flattening import Part
-    from slamhive.analysis.shapes import Names
     from slamhive.model.leftout import LeftOut
 
-BATCH = 2000
-"""Runs read at a time: their documents are what loading needs memory for."""
-
-_SOME = 500
-_SAMPLE = 64
 _STREAMED = 10_000
-_MARKS = 2**64
-_NOTHING = int(np.array([None], dtype=np.float64).view(np.uint64)[0])
-_FACTOR = 0x9E3779B97F4A7C15
-_CHANGES = (
-    *("phase", "reason", "attempts", "sweep", "sweep_uid", "finished", "cpu_seconds", "wall_seconds"),
-    *("cluster", "dataset", "note", "tags", "evaluations"),
-)
-_RESULT_CHANGES = (
-    *("run_id", "evaluation", "outcome", "coverage", "alignment", "ate_rmse", "rpe_rmse", "scale"),
-)
-_RUN = ("id", *_CHANGES[:-1], *(name for name in OF_RUN.values() if name not in {"id", *_CHANGES}))
-_AS_THEY_ARE = frozenset({"labels", "evaluations"})
-_MAY_BE_MISSING = frozenset({"usage", "frames", "trajectory"})
-_LONG = 256
-_NONE = type(None)
-_WRITTEN = "1970", "9"
-_MOMENTS = datetime(1970, 1, 1), datetime(9000, 1, 1)  # noqa: DTZ001 - as the database has them
-_DOCUMENTS = (
-    *("spec", "attributes", "labels", "metrics", "usage", "frames", "trajectory", "provenance"),
-    "evaluations",
-)
 
 
 def change_mark(engine: Engine, held: Connection) -> object:
@@ -116,34 +75,26 @@ def load(engine: Engine, before: Loaded | None = None, stamp: tuple[int, ...] | 
     with reading(engine) as connection, uncollected():
         known = before.marks
         same = stamp is not None and stamp == before.stamp
-        marks = known if same else _marks(connection) if known else None
+        marks = known if same else _marks(connection) if len(known) else None
         sweeps, odd = _sweeps(connection)
         declared, more = _declared(connection)
         odd += more
-        if marks is not None and marks == known:
+        if marks is not None and marks.same_as(known):
             found_now = before if sweeps == before.sweeps else derived(before, sweeps)
             runs = [one for one in before.left_out if one.number is not None]
             if declared != found_now.frame.declared:
                 found_now = replace(found_now, frame=found_now.frame.declaring(declared))
             return replace(found_now, stamp=stamp, left_out=(*runs, *odd))
-        changed = None if marks is None else [run for run, mark in marks.items() if known.get(run) != mark]
-        again = set(changed or ())
-        fresh, found = [], {} if marks is None else marks
-        runs = [one for one in before.left_out if one.number in found and one.number not in again]
-        shapes = _Shapes()
-        for rows in _batches(connection, changed):
-            measured = _results(connection, [row[0] for row in rows])
-            columns, held = _turned(rows), _turned(measured)
-            _add_marks(found, [*columns[: len(_CHANGES)], columns[-1]], runs=True)
-            _add_marks(found, held[: len(_RESULT_CHANGES)], runs=False)
-            try:
-                part = _read(connection, columns, held, shapes)
-                left_out: list[LeftOut] = []
-            except UNREADABLE:
-                part, left_out = _read_some(connection, rows, measured, shapes)
-            fresh.append(part)
-            runs += left_out
-    frame = _merge(before.frame, again, found, fresh, sweeps).declaring(declared)
+        changed = None if marks is None else marks.changed_since(known)
+        reader = BatchReader(connection)
+        batches = read_all(connection, reader) if changed is None else list(reader.some(changed))
+    found = RunMarks.joined([one.marks for one in batches]) if marks is None else marks
+    stays = np.empty(0) if changed is None else np.setdiff1d(found.ids, changed)
+    runs = [one for one in before.left_out if one.number in stays]
+    runs += [one for batch in batches for one in batch.left_out]
+    frame = _merge(before.frame, stays, [one.part for one in batches], sweeps).declaring(declared)
+    del batches
+    return_memory()
     return Loaded(frame, found, sweeps, stamp, (*runs, *odd))
 
 
@@ -185,231 +136,27 @@ def _declared(connection: Connection) -> tuple[dict[str, dict[str, str]], list[L
     return dict(found), left_out
 
 
-def _marks(connection: Connection) -> dict[int, int]:
-    """Return a short mark of each run's look, by its id."""
+def _marks(connection: Connection) -> RunMarks:
+    """Return a short mark of each run's look."""
     runs, results = schema.runs.c, schema.results.c
-    asked_for = [raw(connection, runs[name]) for name in ("id", *_CHANGES)]
+    asked_for = [raw(connection, runs[name]) for name in ("id", *CHANGES)]
     query = select(*asked_for).order_by(runs.id)
-    measured = select(*(results[name] for name in _RESULT_CHANGES))
-    marks: dict[int, int] = {}
-    for asked in (query, measured):
-        for rows in connection.execute(asked.execution_options(yield_per=_STREAMED)).partitions():
-            _add_marks(marks, list(zip(*rows, strict=True)), runs=asked is query)
-    return marks
+    found = RunMarks.joined([RunMarks.of(part, ()) for part in _streamed(connection, query)])
+    for part in _streamed(connection, select(*(results[name] for name in RESULT_CHANGES))):
+        found = found.with_results(part)
+    return found
 
 
-def _add_marks(marks: dict[int, int], columns: Sequence[Sequence[Any]], *, runs: bool) -> None:
-    """Add the marks of runs, or those of results to their runs', by the values that count, ids first.
-
-    They are the same in every process and whatever other rows there are.
-    """
-    if not columns:
-        return
-    found = _row_marks(columns)
-    if runs:
-        marks.update(zip(columns[0], found, strict=True))
-        return
-    for run, mark in zip(columns[0], found, strict=True):
-        if run in marks:
-            # A sum, as results come in no order.
-            marks[run] = (marks[run] + mark) % _MARKS
+def _streamed(connection: Connection, query: Select[Any]) -> Iterator[list[Column]]:
+    for rows in connection.execute(query.execution_options(yield_per=_STREAMED)).partitions():
+        yield [Column.of(values) for values in zip(*rows, strict=True)]
 
 
-def _row_marks(columns: Sequence[Sequence[Any]]) -> list[int]:
-    """Return a number for each row that differs when one of its values does.
-
-    Column by column: each value's number is turned by an odd factor of the column's own and added.
-    """
-    total = np.zeros(len(columns[0]), dtype=np.uint64)
-    for place, values in enumerate(columns):
-        numbers = _numbers_of(values)
-        total += (numbers ^ (numbers >> np.uint64(29))) * np.uint64(pow(_FACTOR, 2 * place + 1, _MARKS))
-    marks: list[int] = (total ^ (total >> np.uint64(32))).tolist()
-    return marks
-
-
-def _numbers_of(values: Sequence[Any]) -> npt.NDArray[np.uint64]:
-    """Return a number for each value, the same in every process (``hash`` of a text is not)."""
-    if set(map(type, values)) <= {int, float, type(None)}:
-        return np.array(values, dtype=np.float64).view(np.uint64)
-    different = list(dict.fromkeys(values))
-    texts = [_short(str(value).encode("utf-8", "replace")) for value in different]
-    numbers = dict(zip(different, _numbers_of_texts(texts).tolist(), strict=True))
-    numbers[None] = _NOTHING
-    return np.fromiter(map(numbers.__getitem__, values), np.uint64, len(values))
-
-
-def _short(text: bytes) -> bytes:
-    """Return a text, or the hash of a long one: all of them are laid out as long as the longest."""
-    return text if len(text) <= _LONG else hashlib.sha256(text).digest()
-
-
-def _numbers_of_texts(texts: Sequence[bytes]) -> npt.NDArray[np.uint64]:
-    """Return a number for each text, of its words of 8 bytes: those of many texts at once."""
-    width = -(-max(map(len, texts), default=0) // 8) or 1
-    words = np.array(texts, dtype=f"S{8 * width}").view(np.uint64).reshape(len(texts), width)
-    total = np.fromiter(map(len, texts), np.uint64, len(texts))
-    for place in range(width):
-        turned = (words[:, place] ^ (words[:, place] >> np.uint64(31))) * np.uint64(_FACTOR)
-        total += turned * np.uint64(pow(_FACTOR, 2 * place + 1, _MARKS))
-    return total ^ (total >> np.uint64(29))
-
-
-def _batches(connection: Connection, changed: Sequence[int] | None) -> Iterator[Sequence[Row[Any]]]:
-    """Go through runs by their ids, or through all of them."""
-    runs = schema.runs.c
-    columns = [raw(connection, runs[name]) for name in (*_RUN, *_DOCUMENTS)]
-    if changed is not None:
-        for start in range(0, len(changed), _SOME):
-            wanted = changed[start : start + _SOME]
-            yield connection.execute(select(*columns).where(runs.id.in_(wanted)).order_by(runs.id)).all()
-        return
-    last = 0
-    while rows := connection.execute(
-        select(*columns).where(runs.id > last).order_by(runs.id).limit(BATCH)
-    ).all():
-        yield rows
-        last = rows[-1].id
-
-
-def _results(connection: Connection, ids: Sequence[int]) -> Sequence[Any]:
-    results = schema.results.c
-    wanted = results.run_id.between(ids[0], ids[-1]) if len(ids) > _SOME else results.run_id.in_(ids)
-    query = select(*(raw(connection, results[name]) for name in (*_RESULT_CHANGES, "values")))
-    return connection.execute(query.where(wanted).order_by(results.run_id, results.evaluation)).all()
-
-
-@dataclass(frozen=True)
-class _Shapes:
-    """Shapes of documents and their names, read as they are met.
-
-    Attributes:
-        parsed: the shapes by number.
-        names: of their values.
-    """
-
-    parsed: dict[int, Any] = field(default_factory=dict)
-    names: dict[int, Names] = field(default_factory=dict)
-
-    def spread(
-        self, connection: Connection, held: Sequence[Any], left_out: frozenset[str] = frozenset()
-    ) -> Spread:
-        """Return documents as columns."""
-        self._meet(connection, {item[0] for item in held if is_divided(item)})
-        return Spread.of(held, self.names, left_out)
-
-    def joined(self, connection: Connection, held: Sequence[Any]) -> list[Any]:
-        """Return documents as they were."""
-        self._meet(connection, {item[0] for item in held if is_divided(item)})
-        return [join(self.parsed, item) for item in held]
-
-    def _meet(self, connection: Connection, numbers: AbstractSet[int]) -> None:
-        """Read the shapes that were not met before."""
-        if new := numbers - self.parsed.keys():
-            found = documents.read(connection, new)
-            self.parsed.update(found)
-            self.names.update({number: names_of(shape) for number, shape in found.items()})
-
-
-def _read_some(
-    connection: Connection, rows: Sequence[Row[Any]], measured: Sequence[Row[Any]], shapes: _Shapes
-) -> tuple[Part, list[LeftOut]]:
-    """Return the rows of those runs that can be read, with those of their results, and the others."""
-    left_out: list[LeftOut] = []
-    for start in range(0, len(rows), _SOME):
-        ids = [row[0] for row in rows[start : start + _SOME]]
-        left_out += read_runs(connection, select(schema.runs).where(schema.runs.c.id.in_(ids))).left_out
-    gone = {one.number for one in left_out}
-    kept, of_kept = ([row for row in table if row[0] not in gone] for table in (rows, measured))
-    try:
-        return (_read(connection, _turned(kept), _turned(of_kept), shapes) if kept else ({}, 0)), left_out
-    except UNREADABLE as error:
-        raise InputError(
-            f"archive {shown(connection.engine.url)}: rows of it can't be read ({why(error)}); "
-            "`slamhive archive check` says more"
-        ) from error
-
-
-def _turned(rows: Sequence[Row[Any]]) -> list[Sequence[Any]]:
-    return list(zip(*rows, strict=True))
-
-
-def _require_kinds(runs: dict[str, Any], measured: Sequence[Sequence[Any]]) -> None:
-    """Check that columns hold what those of the tables are of: SQLite takes anything in any of them.
-
-    Raises:
-        TypeError, ValueError: one holds something else.
-    """
-    results = dict(zip(_RESULT_CHANGES, measured, strict=False))
-    for columns, table in ((runs, schema.runs), (results, schema.results)):
-        for name, wanted in documents.kinds(table):
-            if isinstance(wanted, tuple) and not set(map(type, columns.get(name, ()))) <= {*wanted, _NONE}:
-                raise TypeError(f"{name}: expected {wanted[0].__name__}")
-    if not set(runs["phase"]) <= set(Phase) or not set(results.get("outcome", ())) <= set(Outcome):
-        raise ValueError("a phase or an outcome that is none")
-    for name in TIMES:
-        held = [value for value in runs[name] if value is not None]
-        first, behind = _WRITTEN if held and isinstance(held[0], str) else _MOMENTS
-        if held and not first <= min(held) <= max(held) < behind:
-            raise ValueError(f"{name}: a time that is none of a run")
-
-
-def _require_documents(held: Sequence[Any], name: str) -> None:
-    """Check that documents are objects, or lists for intended evaluations and what is divided.
-
-    Raises:
-        TypeError: one is something else.
-    """
-    wanted = {list} if name == "evaluations" else {dict} if name in _AS_THEY_ARE else {dict, list}
-    if not set(map(type, held)) <= ({*wanted, _NONE} if name in _MAY_BE_MISSING else wanted):
-        raise TypeError(f"{name}: a document that is none")
-
-
-def _read(
-    connection: Connection,
-    columns: Sequence[Sequence[Any]],
-    measured: Sequence[Sequence[Any]],
-    shapes: _Shapes,
-) -> Part:
-    """Return the rows of some runs, with those of their results."""
-    whole: dict[str, Any] = dict(zip((*_RUN, *_DOCUMENTS), columns, strict=True))
-    _require_kinds(whole, measured)
-    for name in _DOCUMENTS:
-        if name in _AS_THEY_ARE:
-            whole[name] = _parsed(whole[name], partial(shapes.joined, connection))
-            _require_documents(whole[name], name)
-        else:
-            held = _parsed(whole[name])
-            _require_documents(held, name)
-            whole[name] = shapes.spread(connection, held)
-    found = [list(column) for column in measured] or [[] for _ in range(5)]
-    known = set(whole["id"])
-    if not known.issuperset(found[0]):
-        kept = [place for place, run in enumerate(found[0]) if run in known]
-        found = [[column[place] for place in kept] for column in found]
-    held = _parsed(found[-1])
-    _require_documents(held, "values")
-    values = shapes.spread(connection, held, LEFT_OUT)
-    part = columns_of_runs(whole, Results(found[0], found[1], found[2], found[3], values))
-    for column in part[0].values():
-        for value in column.values if column.kind is ColumnKind.OTHER else ():
-            if isinstance(value, list | dict):
-                documents.require_shallow(value)
-    return part
-
-
-def _merge(
-    before: Frame,
-    changed: set[int],
-    marks: dict[int, int],
-    fresh: list[Part],
-    sweeps: tuple[SweepVersion, ...],
-) -> Frame:
+def _merge(before: Frame, stays: Any, fresh: list[Part], sweeps: tuple[SweepVersion, ...]) -> Frame:
+    """Return the rows that stay, by the ids of their runs, with fresh ones."""
     parts = list(fresh)
     if len(before):
-        ids = before.column("id").numbers
-        stays = np.fromiter(marks.keys() - changed, dtype=np.float64)
-        kept = before.select(np.isin(ids, stays))
+        kept = before.select(np.isin(before.column("id").numbers, stays))
         parts.insert(0, ({name: kept.column(name) for name in kept.stored}, len(kept)))
     bound(parts, before.stored, MAX_COLUMNS)
     columns, length = stack([part for part in parts if part[1]])
@@ -419,23 +166,3 @@ def _merge(
         order = np.argsort(columns["id"].numbers, kind="stable")
         columns = {name: column.take(order) for name, column in columns.items()}
     return with_derived(columns, length, sweeps)
-
-
-def _parsed(texts: Sequence[str | None], then: Callable[[list[Any]], list[Any]] = list) -> list[Any]:
-    """Return JSON documents, equal ones as one; parsed in one go, as calls cost more than characters.
-
-    Args:
-        texts: the documents.
-        then: makes of different ones what is returned of them.
-    """
-    asked: Sequence[str | None] = texts
-    if 2 * len(set(texts[:_SAMPLE])) <= len(texts[:_SAMPLE]):  # counting all of them takes long
-        different = dict.fromkeys(texts)
-        asked = list(different) if 2 * len(different) < len(texts) else texts
-    parsed = loads("[" + ",".join([item or "null" for item in asked]) + "]")
-    if len(parsed) != len(asked):
-        raise ValueError("a document that is several")
-    found = then(parsed)
-    if asked is texts:
-        return found
-    return list(map(dict(zip(asked, found, strict=True)).__getitem__, texts))

@@ -22,12 +22,14 @@ import numpy as np
 
 from slamhive import __version__
 from slamhive.analysis.columns import Column, ColumnKind
+from slamhive.analysis.compact.shapes import loads
+from slamhive.analysis.compact.texts import PackedTexts
 from slamhive.analysis.derived import SweepVersion, with_derived
 from slamhive.analysis.frame import DERIVED, Frame
-from slamhive.analysis.shapes import loads
 from slamhive.model.leftout import LeftOut
+from slamhive.tables.marks import RunMarks
 
-VERSION = 10
+VERSION = 11
 _SETTLED_NANOSECONDS = 2 * 10**9
 LEAST_ROWS = 5000
 """Rows from which on a cache is worth its place where it can't spare the database itself."""
@@ -39,14 +41,14 @@ class Loaded:
 
     Attributes:
         frame: one row a run and evaluation, in the order of storing.
-        marks: what each run looked like in short, by its id.
+        marks: what each run looked like in short.
         sweeps: the versions of sweeps; None where the columns that follow from them are missing.
         stamp: what the database's files looked like then; None where that says nothing.
         left_out: rows that can't be read.
     """
 
     frame: Frame = field(default_factory=lambda: Frame({}, 0))
-    marks: dict[int, int] = field(default_factory=dict)
+    marks: RunMarks = field(default_factory=lambda: RunMarks.joined([]))
     sweeps: tuple[SweepVersion, ...] | None = None
     stamp: tuple[int, ...] | None = None
     left_out: tuple[LeftOut, ...] = ()
@@ -93,19 +95,21 @@ def save(path: Path, loaded: Loaded) -> None:
     """Write a table; a disk that refuses is no fault."""
     frame = loaded.frame
     arrays: dict[str, Any] = {
-        "ids": np.fromiter(loaded.marks.keys(), np.int64, len(loaded.marks)),
-        "marks": np.fromiter(loaded.marks.values(), np.uint64, len(loaded.marks)),
+        "ids": loaded.marks.ids,
+        "marks": loaded.marks.marks,
     }
     described = []
     for number, name in enumerate(name for name in frame.stored if name not in DERIVED):
         column = frame.column(name)
-        described.append({"name": name, "kind": str(column.kind)})
-        if column.kind.is_numeric:
-            arrays[f"c{number}"] = column.numbers
-        else:
-            arrays[f"c{number}"] = column.codes
+        arrays[f"c{number}"] = column.held
+        values = column.values.data if isinstance(column.values, PackedTexts) else column.values
+        is_array = isinstance(values, np.ndarray)
+        if column.is_coded:
             # By themselves, so that a start needs memory for the texts of one column at a time.
-            arrays[f"v{number}"] = _text_of(column.values)
+            arrays[f"v{number}"] = values if is_array else _text_of(values)
+        described.append(
+            {"name": name, "kind": str(column.kind), "array": is_array, "coded": column.is_coded}
+        )
     head = {
         "version": VERSION,
         "slamhive": __version__,
@@ -141,11 +145,11 @@ def keep(path: Path, loaded: Loaded, before: Loaded | None) -> bool:
         loaded: the table.
         before: what the file holds.
     """
-    known = before.marks if before is not None else {}
+    known = before.marks if before is not None else RunMarks.joined([])
     settled = loaded.stamp is not None and (before is None or loaded.stamp != before.stamp)
     if not settled and len(loaded.frame) < LEAST_ROWS:
         return False
-    if not settled and len(loaded.marks.items() - known.items()) <= len(loaded.marks) // 20:
+    if not settled and len(loaded.marks.changed_since(known)) <= len(loaded.marks) // 20:
         return False
     save(path, loaded)
     return True
@@ -185,10 +189,9 @@ def _read(path: Path) -> tuple[Loaded, tuple[SweepVersion, ...] | None] | None:
                 return None
             columns = {}
             for number, item in enumerate(head["columns"]):
-                kind = ColumnKind(item["kind"])
-                values = () if kind.is_numeric else tuple(loads(arrays[f"v{number}"].tobytes()))
-                columns[str(item["name"])] = _column(kind, arrays[f"c{number}"], values, int(head["rows"]))
-            marks = dict(zip(arrays["ids"].tolist(), arrays["marks"].tolist(), strict=True))
+                values = arrays[f"v{number}"] if item["coded"] else None
+                columns[str(item["name"])] = _column(item, arrays[f"c{number}"], values, int(head["rows"]))
+            marks = RunMarks(arrays["ids"], arrays["marks"])
             told, declared = head["sweeps"], dict(head["declared"])
             left_out = tuple(LeftOut(*one) for one in head["leftOut"])
             sweeps = None if told is None else tuple(SweepVersion(*one) for one in told)
@@ -203,11 +206,16 @@ def _text_of(value: Any) -> Any:
     return np.frombuffer(json.dumps(value).encode(), dtype=np.uint8)
 
 
-def _column(kind: ColumnKind, array: Any, values: tuple[Any, ...], rows: int) -> Column:
+def _column(item: dict[str, Any], array: Any, values: Any, rows: int) -> Column:
+    kind = ColumnKind(item["kind"])
     if array.shape != (rows,):
         raise ValueError(f"a column's shape {array.shape} is not ({rows},)")
-    if kind.is_numeric:
+    if values is None:
         return Column(kind, array.astype(np.float64, copy=False), np.empty(0, dtype=np.int32))
+    if not item["array"]:
+        values = tuple(loads(values.tobytes()))
+    elif not kind.is_numeric:
+        values = PackedTexts(values)
     if rows and not -1 <= int(array.min()) <= int(array.max()) < len(values):
         raise ValueError("a code without a value")
-    return Column(kind, np.empty(0), array.astype(np.int32, copy=False), values)
+    return Column(kind, np.empty(0), array, values)

@@ -11,31 +11,33 @@ import math
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
-from slamhive.analysis.grouping import CHOSEN, CPU, LATE, MARK, MEMORY, READER
+import numpy as np
+
+from slamhive.analysis.grouping import CHOSEN, CPU, LATE, MARK, MEMORY, READER, Groups, follows, varies
 from slamhive.analysis.metrics import Metric, name_of, with_unit
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from slamhive.analysis.cells import Cell
+    from slamhive.analysis.cells import Cell, Cells
+    from slamhive.analysis.columns import Indices
+    from slamhive.analysis.frame import Frame
     from slamhive.analysis.grouping import Aggregate
     from slamhive.analysis.leaderboard import Entry, Standing
     from slamhive.analysis.pareto import Spot
-    from slamhive.analysis.statistics import Interval, Summary
+    from slamhive.analysis.statistics import Interval, Summaries, Summary
 
 PARTS = ("n", "mean", "std", "median", "min", "max")
 """Parts of a summary, in flat records."""
 
 COVERAGE = Metric("coverage", "", 1.0, ".3f")
+_NO_SPREAD = " ± 0.000"
 _AS_STORED = Metric("", "", 1.0, "")
 
 _ROUNDING = 1e-12
 """A spread below this share of the mean is rounding, not a spread."""
 
 _MOST_WORD = 60
-
-_PLAIN = (str, int, bool, type(None))
-"""Types of which equal values are written alike."""
 
 
 def value_text(metric: Metric, value: Any) -> str:
@@ -86,9 +88,17 @@ def range_text(metric: Metric, summary: Summary | None) -> str:
     return f"{metric.show(summary.min)} – {metric.show(summary.max)}"
 
 
-def coverage_text(summary: Summary | None) -> str:
-    """Return the mean coverage, with its spread where there is one to see."""
-    return spread_text(COVERAGE, summary).removesuffix(" ± 0.000")
+def spread_texts(metric: Metric, summaries: Summaries) -> list[str]:
+    """Return the same of many groups."""
+    means = (summaries.mean * metric.factor).tolist()
+    show = f"{{:{metric.format or '.4g'}}}".format
+    several = summaries.n > 1
+    texts = (show(mean) if n else "–" for mean, n in zip(means, summaries.n.tolist(), strict=True))
+    known: dict[str, str] = {}  # few are different when rounded: each is held once
+    found = [known.setdefault(text, text) for text in texts]
+    for group in np.flatnonzero(several).tolist():
+        found[group] = spread_text(metric, summaries.of(group))
+    return found
 
 
 def number_text(value: float | None, shape: str = ".3g") -> str:
@@ -125,7 +135,11 @@ def n_of_runs(one: Cell | Entry | Standing | Spot) -> str:
 
 def marked(cell: Cell) -> str:
     """Return the signs of runs on recordings with open findings, and of runs that a search chose."""
-    return (f" {MARK}" if cell.findings else "") + (f" {CHOSEN}" if cell.chosen else "")
+    return _signs(bool(cell.findings), cell.chosen)
+
+
+def _signs(faulty: bool, chosen: bool) -> str:
+    return (f" {MARK}" if faulty else "") + (f" {CHOSEN}" if chosen else "")
 
 
 def cost_mark(column: str, *, reader: bool, late: bool) -> str:
@@ -141,24 +155,20 @@ def cost_mark(column: str, *, reader: bool, late: bool) -> str:
     return f" {LATE}" if late and column.startswith(MEMORY) else ""
 
 
-def failures_text(cell: Cell) -> str:
+def failures_text(failures: Mapping[str, int], untracked: Mapping[str, int]) -> str:
     """Return the ends of the runs that don't count, and of those that do without being tracked."""
-    failures = counts_text(cell.failures) or "0"
-    return f"{failures}; in n: {counts_text(cell.untracked)}" if cell.untracked else failures
+    told = counts_text(failures) or "0"
+    return f"{told}; in n: {counts_text(untracked)}" if untracked else told
 
 
-_OF_GROUPS: Mapping[str, Callable[[Cell], str]] = {
-    "coverage": lambda cell: coverage_text(cell.coverage),
-    "n": n_text,
-    "failures": failures_text,
-}
-"""Columns of a table behind its metrics, by their heads."""
+_OF_GROUPS = ("coverage", "n", "failures")
+"""Heads of the columns of a table behind its metrics."""
 
 
-def table_lines(
+def table_columns(
     found: Aggregate, across: Sequence[str], metrics: Sequence[Metric], left_out: Iterable[str] = ()
 ) -> tuple[list[str], list[list[str]]]:
-    """Return the headings and lines of a table.
+    """Return the headings of a table, and the texts of each of its columns.
 
     Each group shows its metrics, its coverage, the number of results that count and what became of others.
 
@@ -171,38 +181,90 @@ def table_lines(
     rows = [name for name in found.keys if name not in {*across, *left_out}]
     shown = [metric.column for metric in metrics]
     parts = [metric.title_among(shown) for metric in metrics] + list(_OF_GROUPS)
-    sides = _distinct(tuple(cell.keys[name] for name in across) for cell in found.cells) if across else [()]
+    keys = found.cells.keys
+    lines = _numbered(keys, rows) if across else np.arange(len(keys))
+    sides = _numbered(keys, across) if across else np.zeros(len(keys), dtype=np.intp)
+    _, firsts = np.unique(lines, return_index=True)
+    of_lines = keys.select(firsts)
     headings = [key_title(name, rows) for name in rows]
-    for values in sides:
+    columns = [_key_texts(of_lines, name) for name in rows]
+    texts = [*(_figure_texts(found.cells, metric) for metric in metrics), *_group_texts(found.cells)]
+    for side in range(int(sides.max(initial=-1 if across else 0)) + 1):
+        inside = np.flatnonzero(sides == side)
+        values = [keys.row(int(inside[0]), across)[name] for name in across] if across else []
         prefix = "".join(f"{key_text(value)} " for value in values)
         headings += [prefix + part for part in parts]
-    places = [_identity(values) for values in sides]
-    rendered = []
-    for cells in _lines(found.cells, rows, across):
-        first = next(iter(cells.values()))
-        line = [key_text(first.keys[name]) for name in rows]
-        for place in places:
-            line += _cell_texts(cells.get(place), metrics)
-        rendered.append(line)
-    return headings, rendered
+        for written in texts:
+            if not across:
+                columns.append(written)
+                continue
+            column = ["–"] * len(firsts)
+            for line, group in zip(lines[inside].tolist(), inside.tolist(), strict=True):
+                column[line] = written[group]
+            columns.append(column)
+    return headings, columns
 
 
-def flat_cells(found: Aggregate) -> list[dict[str, Any]]:
-    """Return groups as flat records of unrounded numbers in stored units."""
-    rows = []
-    has_findings = any(cell.findings for cell in found.cells)
+def _numbered(frame: Frame, names: Sequence[str]) -> Indices:
+    """Return a number for each row by the values of some columns, in the order of being met first, (n,)."""
+    of_row = Groups(frame, names).of_row
+    _, firsts = np.unique(of_row, return_index=True)
+    ranks = np.empty(len(firsts), dtype=np.intp)
+    ranks[np.argsort(firsts)] = np.arange(len(firsts))
+    return ranks[of_row]
+
+
+def _key_texts(frame: Frame, name: str) -> list[str]:
+    codes, values = frame.column(name).factorized()
+    texts = [key_text(value) for value in values]
+    return [texts[code] for code in codes.tolist()]
+
+
+def _figure_texts(cells: Cells, metric: Metric) -> list[str]:
+    """Return the means of all groups, marked where they aren't what they seem."""
+    held, order = cells.columns, cells.order
+    found = spread_texts(metric, held.figures[metric.column].summaries.taken(order))
+    for group in np.flatnonzero((held.reader | held.late)[order]).tolist():
+        place = order[group]
+        found[group] += cost_mark(metric.column, reader=bool(held.reader[place]), late=bool(held.late[place]))
+    return found
+
+
+def _group_texts(cells: Cells) -> list[list[str]]:
+    """Return the columns of `_OF_GROUPS` of all groups."""
+    held, order = cells.columns, cells.order
+    coverage = spread_texts(COVERAGE, held.coverage.taken(order))
+    places = order.tolist()
+    signs = [
+        f"{' =' if copies else ''}{_signs(bool(held.findings.get(place)), chosen)}"
+        for place, copies, chosen in zip(
+            places, held.copies[order].tolist(), held.chosen[order].tolist(), strict=True
+        )
+    ]
+    failures = [
+        failures_text(held.failures.get(place, {}), held.untracked.get(place, {})) for place in places
+    ]
+    counts = [f"{n}{sign}" if sign else str(n) for n, sign in zip(held.n[order].tolist(), signs, strict=True)]
+    return [[text.removesuffix(_NO_SPREAD) for text in coverage], counts, failures]
+
+
+def flat_cells(found: Aggregate) -> Iterator[dict[str, Any]]:
+    """Go through groups as flat records of unrounded numbers in stored units, all of the same names."""
+    held = found.cells.columns
+    has_findings, reader, late, chosen = map(
+        bool, (held.findings, *map(np.any, (held.reader, held.late, held.chosen)))
+    )
     for cell in found.cells:
         row: dict[str, Any] = {**cell.keys, "runs": cell.runs, "n": cell.n, "copies": cell.copies}
         row |= {"failures": sum(cell.failures.values()), "failures.by": cell.failures}
         row |= {"findings": ", ".join(cell.findings)} if has_findings else {}
-        row |= {"reader": cell.reader} if any(one.reader for one in found.cells) else {}
-        row |= {"late": cell.late} if any(one.late for one in found.cells) else {}
-        row |= {"chosen": cell.chosen} if any(one.chosen for one in found.cells) else {}
+        row |= {"reader": cell.reader} if reader else {}
+        row |= {"late": cell.late} if late else {}
+        row |= {"chosen": cell.chosen} if chosen else {}
         row |= {"untracked.by": cell.untracked, "deterministic": cell.deterministic}
         for name, figure in cell.figures.items():
             row |= flat_summary(name, figure.summary)
-        rows.append(row | flat_summary("coverage", cell.coverage))
-    return rows
+        yield row | flat_summary("coverage", cell.coverage)
 
 
 def flat_summary(prefix: str, summary: Summary | None) -> dict[str, Any]:
@@ -213,40 +275,27 @@ def flat_summary(prefix: str, summary: Summary | None) -> dict[str, Any]:
     }
 
 
-def as_columns(rows: Sequence[dict[str, Any]]) -> dict[str, list[Any]]:
+def as_columns(records: Iterable[dict[str, Any]]) -> dict[str, list[Any]]:
     """Return records as columns, names in the order of first being seen."""
+    rows = list(records)
     names = dict.fromkeys(name for row in rows for name in row)
     return {name: [row.get(name) for row in rows] for name in names}
 
 
 def constants(found: Aggregate, asked: Sequence[str]) -> dict[str, Any]:
     """Return the keys that all groups share and nobody asked for: said once, not on each line."""
-    shared = {}
-    for name in found.keys:
-        if name in asked or len(found.cells) <= 1:
-            continue
-        first = found.cells[0].keys[name]
-        # Nearly all are plain and equal or differ at once; only others need be written to be compared.
-        value, kind = _identity([first]), type(first)
-        if all(
-            (kind in _PLAIN and type(one) is kind and one == first) or _identity([one]) == value
-            for cell in found.cells
-            for one in (cell.keys[name],)
-        ):
-            shared[name] = first
-    return shared
+    keys = found.cells.keys
+    if len(keys) <= 1:
+        return {}
+    first = keys.row(0, found.keys)
+    return {name: first[name] for name in found.keys if name not in asked and not varies(keys, name)}
 
 
 def implied(found: Aggregate, asked: Sequence[str]) -> set[str]:
     """Return the keys that follow from the algorithm's name and that nobody asked for."""
-    modes: dict[Any, Any] = {}
-    if "algorithm" not in found.keys or "sensors" in asked:
+    if "algorithm" not in found.keys or "sensors" not in found.keys or "sensors" in asked:
         return set()
-    follows = all(
-        modes.setdefault(cell.keys.get("algorithm"), cell.keys.get("sensors")) == cell.keys.get("sensors")
-        for cell in found.cells
-    )
-    return {"sensors"} if follows else set()
+    return {"sensors"} if follows(found.cells.keys, "sensors", "algorithm") else set()
 
 
 def short_name(name: str, names: Sequence[str]) -> str:
@@ -261,34 +310,3 @@ def short_name(name: str, names: Sequence[str]) -> str:
 def key_title(name: str, names: Sequence[str]) -> str:
     """Return the heading of a configuration's column, with the unit of its numbers."""
     return with_unit(short_name(name, names), name_of(name).unit)
-
-
-def _lines(cells: Sequence[Cell], rows: Sequence[str], across: Sequence[str]) -> Iterable[dict[str, Cell]]:
-    """Go through the cells of each line by what lies side by side."""
-    if not across:
-        whole = _identity([])
-        return ({whole: cell} for cell in cells)
-    lines: dict[str, dict[str, Cell]] = {}
-    for cell in cells:
-        row = _identity(cell.keys[name] for name in rows)
-        lines.setdefault(row, {})[_identity(cell.keys[name] for name in across)] = cell
-    return lines.values()
-
-
-def _cell_texts(cell: Cell | None, metrics: Sequence[Metric]) -> list[str]:
-    if cell is None:
-        return ["–"] * (len(metrics) + len(_OF_GROUPS))
-    figures = [
-        spread_text(metric, cell.figures[metric.column].summary)
-        + cost_mark(metric.column, reader=cell.reader, late=cell.late)
-        for metric in metrics
-    ]
-    return [*figures, *(text(cell) for text in _OF_GROUPS.values())]
-
-
-def _distinct(values: Iterable[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
-    return list({_identity(value): value for value in values}.values())
-
-
-def _identity(values: Iterable[Any]) -> str:
-    return json.dumps(list(values), sort_keys=True, default=str)

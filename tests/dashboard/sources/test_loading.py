@@ -170,10 +170,25 @@ def test_an_empty_archive_is_an_empty_table(url: str) -> None:
 
 def test_many_small_batches_make_the_same_table(assorted: str, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = load(connect(assorted))
-    monkeypatch.setattr("slamhive.tables.loading.BATCH", 4)
+    monkeypatch.setattr("slamhive.tables.batches.BATCH", 4)
     found = load(connect(assorted))
     assert rows_of(found.frame) == rows_of(whole.frame)
     # Among other rows a run looks the same, so that only what has changed is read again.
-    assert found.marks == whole.marks
+    assert found.marks.same_as(whole.marks)
     monkeypatch.setattr("slamhive.tables.loading._STREAMED", 3)
     assert load(connect(assorted), found).frame is found.frame
+
+
+@pytest.mark.parametrize("program", [None, "/bin/true"], ids=["helps", "ends"])
+def test_a_helper_makes_no_difference(
+    assorted: str, monkeypatch: pytest.MonkeyPatch, program: str | None
+) -> None:
+    whole = load(connect(assorted))
+    monkeypatch.setattr("slamhive.tables.batches.BATCH", 3)
+    monkeypatch.setattr("slamhive.tables.helping.LEAST_HELPED", 2)
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: {0, 1})
+    if program is not None:
+        monkeypatch.setattr("slamhive.tables.helping.sys.executable", program)
+    found = load(connect(assorted))
+    assert rows_of(found.frame) == rows_of(whole.frame)
+    assert found.marks.same_as(whole.marks)

@@ -50,6 +50,10 @@ def study(**spec: Any) -> dict[str, Any]:
     return sweep(**{"sizes": 6, "template": {"evaluate": True}, "retention": {"runs": 2}} | spec)
 
 
+def evaluations(archive: Archive) -> list[set[str]]:
+    return [{result.evaluation for result in record.results} for record in archive.runs(sweep="study")]
+
+
 async def test_nothing_is_written_of_them_but_their_objects(lab: Lab, archive: Archive) -> None:
     async with lab.operator(archive, **SETTINGS) as op:
         lab.apply(study())
@@ -109,9 +113,8 @@ async def test_an_evaluation_measures_them_too(lab: Lab, archive: Archive) -> No
         lab.apply(study())
         await status_of(op, Kind.SWEEP, "study", is_complete)
         await until(lambda: len(runs_of(lab)) == 2, "the others to go")
-    found = [{result.evaluation for result in record.results} for record in archive.runs(sweep="study")]
-    assert [len(names) for names in found] == [2] * 6
-    assert all("rigid" in names for names in found)
+        await until(lambda: [len(one) for one in evaluations(archive)] == [2] * 6, "the archive to have all")
+    assert all("rigid" in names for names in evaluations(archive))
 
 
 async def test_two_operators_do_each_once(lab: Lab, archive: Archive) -> None:

@@ -138,7 +138,7 @@ class Recomputing:
         self._file: BundleFile | None = None
 
     def __call__(self, tasks: list[_Task], truths: dict[str, Any]) -> list[_Recomputed] | DataError:
-        """Return what comes of runs, or why the bundle can't be read."""
+        """Return the outcome of each run, or the error of a bundle that is damaged."""
         try:
             return [self._recomputed(task, truths) for task in tasks]
         except DataError as error:

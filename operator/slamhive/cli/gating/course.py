@@ -29,12 +29,10 @@ from slamhive.cli.gating.runs import (
     recorded_columns,
     tell_disturbed,
 )
-from slamhive.cli.parts.console import (
-    listing,
-    plural,
-)
+from slamhive.cli.parts.console import listing
 from slamhive.cli.parts.exits import INTERRUPTED
 from slamhive.engine import LoadConditions
+from slamhive.model.base import plural
 from slamhive.model.canonical import digest, normalize
 from slamhive.model.errors import InputError
 from slamhive.reporting.gate.baseline import Baseline, BaselineCell, columns_of

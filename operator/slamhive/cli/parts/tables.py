@@ -38,9 +38,13 @@ def show(console: Console, headings: Sequence[str], lines: Iterable[Sequence[str
 
     Rich takes five minutes for 80,000 lines of 30 columns, this some seconds.
     """
+    show_columns(console, headings, list(zip(*lines, strict=True)) or [()] * len(headings))
+
+
+def show_columns(console: Console, headings: Sequence[str], columns: Sequence[Sequence[str]]) -> None:
+    """Print the same of texts by their columns, which needs no line more than once."""
     titles = [printable(heading).replace(" [", "\n[").split("\n") for heading in headings]
     deep = max(map(len, titles), default=0)
-    columns = list(zip(*lines, strict=True)) or [()] * len(titles)
     widths, heads, bodies = [], [], []
     for title, column in zip(titles, columns, strict=True):
         head = [""] * (deep - len(title)) + title

@@ -25,12 +25,13 @@ from slamhive.bridges.bundles.repeating import (
     manifest_of,
 )
 from slamhive.bridges.bundles.verifying import Mismatch, Verification, verify
-from slamhive.cli.parts.console import bytes_text, complain, open_workbench, out, plural, remark, warn
+from slamhive.cli.parts.console import bytes_text, complain, open_workbench, out, remark, warn
 from slamhive.cli.parts.exits import FAILED, INTERRUPTED
 from slamhive.cli.parts.planning import planned, sweeps_of
 from slamhive.cli.parts.tables import show, write_json
 from slamhive.cli.parts.waiting import Work
 from slamhive.local.home.folder import Home
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError, SlamHiveError
 from slamhive.model.evaluation import Evaluation, EvaluationSettings
 from slamhive.model.loading import load_file

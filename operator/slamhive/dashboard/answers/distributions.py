@@ -157,7 +157,7 @@ def _shown(
             "by",
         )
     medians = np.full((competitors.count, pictures.count), np.nan)
-    firsts = curves.order[np.array([begin for begin, _ in curves.edges], dtype=np.intp)]
+    firsts = curves.firsts
     medians[competitors.of_row[firsts], pictures.of_row[firsts]] = ranking.medians(curves)
     chosen = window.of(medians, readable=False)
     rows = np.isin(competitors.of_row, chosen)

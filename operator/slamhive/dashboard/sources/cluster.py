@@ -10,8 +10,6 @@ import time
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
 from slamhive.analysis.derived import SweepVersion, with_derived
 from slamhive.analysis.flattening import bound, stack
 from slamhive.analysis.frame import Frame
@@ -277,7 +275,7 @@ class ClusterSource:
         if len(archived):
             uids = archived.column("uid")
             names = {run.uid for run in runs}
-            hidden = np.array([value in names for value in (*uids.values, None)], dtype=bool)[uids.codes]
+            hidden = uids.among(names)
             kept = archived.select(~hidden)
             parts.append(({name: kept.column(name) for name in kept.stored}, len(kept)))
         columns, length = stack([part for part in parts if part[1]])

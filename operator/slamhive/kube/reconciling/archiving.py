@@ -10,6 +10,7 @@ import asyncio
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
+from slamhive.analysis.measuring import settings_hash
 from slamhive.archive.remarks import Remarks
 from slamhive.contract.settled import FILES, is_settled
 from slamhive.kube.api.errors import Conflict
@@ -170,7 +171,13 @@ class Keeper:
         told = [run for run in settled if not is_archive_only(run)]
         told.sort(key=lambda run: run["status"].get("completionTime") or "")
         evaluations = cluster.store.of(Kind.EVALUATION, sweep.metadata.namespace or "")
-        due = [run for run in settled if is_archive_only(run) and not is_owed(run, evaluations)]
+        own = settings_hash(sweep.spec.evaluation)
+        due = [
+            run
+            for run in settled
+            if is_archive_only(run)
+            and not is_owed(run, own if run["spec"].get("evaluate", True) else None, evaluations)
+        ]
         due += told[: max(0, len(told) - sweep.spec.retention.runs)]
         if not due:
             return []

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.analysis.measuring import SETTINGS_KEY
 from slamhive.kube.records import NOT_EVALUABLE, problems_noted
 from slamhive.kube.routing import may_select
 from slamhive.kube.status import condition, holds, phase_of, rmse_of
@@ -112,12 +113,22 @@ def is_missing(group: EvaluationGroup, run: Mapping[str, Any]) -> bool:
     return not group.has_result(run) and problem_of(group, run) is None
 
 
-def is_owed(run: Object, evaluations: Iterable[Object]) -> bool:
-    """Tell whether one of some Evaluations has still to measure a run that has ended."""
+def is_owed(run: Object, own: str | None, evaluations: Iterable[Object]) -> bool:
+    """Tell whether a run that has ended is still to be measured.
+
+    Args:
+        run: the run.
+        own: hash of the settings that it is measured by itself; None where it isn't.
+        evaluations: Evaluations that may measure it too.
+    """
     status = run["status"]
     if phase_of(status) is not Phase.SUCCEEDED or not status.get("trajectory"):
         return False
-    done = {item["evaluation"] for item in status.get("results") or ()} | problems_noted(run).keys()
+    results = status.get("results") or ()
+    done = {item["evaluation"] for item in results} | problems_noted(run).keys()
+    given_up = "" in done or holds(status, "Evaluated") is False
+    if own is not None and not given_up and all(item.get(SETTINGS_KEY) != own for item in results):
+        return True
     return any(
         may_select(one, run)
         and (name := one["metadata"]["name"]) not in done

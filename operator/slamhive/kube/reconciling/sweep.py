@@ -359,6 +359,8 @@ class SweepReconciler:
         memory.share = turn.share
         if turn.starts:
             unmade = await self._start(cluster, seen, due[: turn.starts], now)
+            begun = [seen.runs[index] for index in due[: turn.starts] if index in seen.runs]
+            self._sharing.begun(seen.body["metadata"]["uid"], begun, now)
         if unmade:
             self._sharing.rest(seen.body["metadata"]["uid"])
         delays = [_BLOCKED_SECONDS] if unmade or unsought else []

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from slamhive.engine import PointState, Work
 from slamhive.kube.status import moment
@@ -43,44 +43,57 @@ def kind_of(run: Mapping[str, Object]) -> RunKind:
     return spec["algorithmRef"]["name"], spec["datasetRef"]["name"]
 
 
+class Flight(NamedTuple):
+    """Run in flight: its kind, its name, and when it began, s since 1970."""
+
+    kind: RunKind
+    name: str
+    began: float
+
+
 @dataclass
 class RunTimes:
     """Times for which runs of a Sweep held their slots.
 
     Attributes:
-        flying: kind and beginning of runs in flight, s since 1970, by UID.
+        flying: runs in flight by UID.
         sums: number and s of those that ended, by kind; of equal results the first alone.
         archived: the same of runs of other Sweeps, as the archive has them.
         kinds: kinds of some of its points by index, all of them if it has few.
     """
 
-    flying: dict[str, tuple[RunKind, float]] = field(default_factory=dict)
+    flying: dict[str, Flight] = field(default_factory=dict)
     sums: dict[RunKind, tuple[int, float]] = field(default_factory=dict)
     archived: dict[RunKind, tuple[int, float]] = field(default_factory=dict)
     kinds: dict[int, RunKind] = field(default_factory=dict)
 
-    def look(self, active: Iterable[Object], taken_over: set[str], now: float) -> set[str]:
-        """Take note of the runs in flight; returns the UIDs of those that have ended since.
+    def begin(self, runs: Iterable[Object], now: float) -> None:
+        """Take note of runs that are in flight."""
+        for run in runs:
+            meta = run["metadata"]
+            if meta["uid"] not in self.flying:
+                made = moment(meta.get("creationTimestamp")) or now
+                # Times of the API are whole seconds.
+                began = now if now - made < _JUST_MADE_SECONDS else made
+                self.flying[meta["uid"]] = Flight(kind_of(run), meta["name"], began)
+
+    def look(self, active: Iterable[Object], taken_over: set[str], now: float) -> list[Flight]:
+        """Take note of all runs that are in flight; returns those that have ended since the last time.
 
         Args:
             active: runs in flight.
             taken_over: UIDs of runs that took over an equal result, which took no time.
             now: s since 1970.
         """
-        before, self.flying = self.flying, {}
-        for run in active:
-            uid = run["metadata"]["uid"]
-            if uid in before:
-                self.flying[uid] = before.pop(uid)
-            else:
-                made = moment(run["metadata"].get("creationTimestamp")) or now
-                # Times of the API are whole seconds.
-                began = now if now - made < _JUST_MADE_SECONDS else made
-                self.flying[uid] = (kind_of(run), began)
-        for uid, (kind, began) in before.items():
+        active = list(active)
+        self.begin(active, now)
+        there = {run["metadata"]["uid"] for run in active}
+        ended = {uid: flight for uid, flight in self.flying.items() if uid not in there}
+        for uid, flight in ended.items():
+            del self.flying[uid]
             if uid not in taken_over:
-                self._add(kind, now - began)
-        return set(before)
+                self._add(flight.kind, now - flight.began)
+        return [*ended.values()]
 
     def learn(self, ended: Iterable[Object]) -> None:
         """Take note of runs that had ended before anybody looked."""
@@ -141,7 +154,7 @@ class RunTimes:
             pending: how many of them have still to begin.
             now: s since 1970.
         """
-        flying = [(self.mean(kind), now - began) for kind, began in self.flying.values()]
+        flying = [(self.mean(one.kind), now - one.began) for one in self.flying.values()]
         twins = memory.plan.twins
         left = {
             index: kind for index, kind in self.kinds.items() if memory.states[index] == PointState.PENDING

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from slamhive.engine import PointState
 from slamhive.kube.reconciling.archiving import at_its_end, in_thread
 from slamhive.kube.reconciling.sweep_runs import Finished, is_archive_only, state_of
+from slamhive.model.base import plural
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Mapping
@@ -111,16 +112,12 @@ def remark(memory: SweepMemory) -> str:
     """Return a sentence on the runs that were deleted by hand; empty where nothing is missing."""
     count, lost = memory.deletions, len(memory.lost)
     if not count:
-        return f"nothing is left of {_runs(lost)} that were done" if lost else ""
+        return f"nothing is left of {plural(lost, 'run')} that were done" if lost else ""
     left = f"nothing is left of {lost}" if lost else "their results are in the archive"
-    return f"{_runs(count)} {'were' if count > 1 else 'was'} deleted by hand: {left}"
+    return f"{plural(count, 'run')} {'were' if count > 1 else 'was'} deleted by hand: {left}"
 
 
 def announcement(memory: SweepMemory, names: list[str]) -> str:
     """Return a sentence on runs that were found to be deleted by hand just now."""
     more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
     return f"deleted by hand: {', '.join(names[:_SHOWN])}{more}; in all {remark(memory)}"
-
-
-def _runs(count: int) -> str:
-    return f"{count} runs" if count != 1 else "1 run"

@@ -35,7 +35,7 @@ from slamhive.kube.reconciling.sweep_shares import ShareFacts, share_of
 from slamhive.kube.status import moment
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from slamhive.archive import Archive
     from slamhive.kube.api.kinds import Object
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 _UNHEARD_SECONDS = 30.0
 """Time after which a Sweep that was called and does not look leaves its slots to others."""
 _IN_LINE_SECONDS = 30.0
+_NEWS_SLOTS, _NEWS_PART = 0.5, 0.15
 _OVERTAKEN = 3
 """Pods made later that found nodes, after which one that waits is known to do so for its own reasons."""
 
@@ -179,8 +180,16 @@ class SlotSharing:
         starts = self._serve(cluster, uid, now)
         if blocked is None and look.asks and not account.contender.held and not starts:
             blocked = _impossible(account)
-        await self._tell(cluster, replace(look, asks=look.asks - starts), account, blocked)
-        return Turn(starts, blocked, account.share, None if starts or not look.asks else _IN_LINE_SECONDS)
+        wait = account.told_at + cluster.settings.sweep_write_seconds - now
+        if account.share is None or wait <= 0:
+            await self._tell(cluster, replace(look, asks=look.asks - starts), account, blocked)
+        delays = [wait] if wait > 0 else []
+        delays += [_IN_LINE_SECONDS] if look.asks > starts else []
+        return Turn(starts, blocked, account.share, min(delays, default=None))
+
+    def begun(self, uid: str, runs: Iterable[Object], now: float) -> None:
+        """Note that runs of a Sweep were begun: they may have ended when it looks again."""
+        self._accounts[uid].times.begin(runs, now)
 
     def rest(self, uid: str) -> None:
         """Note that a Sweep can start nothing for the time being."""
@@ -236,12 +245,15 @@ class SlotSharing:
         active = look.active
         waiting, placed = self._standing(cluster, look, active, account, now)
         reused = {one.run["metadata"]["uid"] for one in look.memory.finished.values() if one.reused}
-        ended = account.times.look(active, reused, now)
-        found = placed - account.placed
+        flights = {label_value(one.name): one.began for one in account.times.flying.values()}
+        ended = {label_value(one.name) for one in account.times.look(active, reused, now)}
+        # Who has ended had a node too, if only for a moment, but for those that were cancelled meanwhile.
+        found = (placed | (ended - account.waiting.keys())) - account.placed
+        drained = not waiting and bool(found & account.waiting.keys())
         refused = waiting.keys() - account.waiting.keys()
         account.overtaken = account.overtaken if waiting else 0
-        if found:
-            self._overtake(uid, active, found)
+        self._overtake(uid, [flights.get(name, now) for name in found])
+        used, before = self._held(), account.waiting.keys()
         account.waiting, account.placed = waiting, placed
         account.window, account.called = look.window, None
         account.contender = replace(
@@ -251,7 +263,8 @@ class SlotSharing:
             weight=look.sweep.spec.weight,
         )
         if self._felt is not None:
-            self._felt.note(len(found) + len(ended), len(refused), self._held())
+            at_once = len(found - before)
+            self._felt.note(at_once, len(refused), used, self._held(), is_drained=drained)
         return account
 
     def _standing(
@@ -272,13 +285,8 @@ class SlotSharing:
                 waiting[name] = account.waiting.get(name, now)
         return waiting, placed
 
-    def _overtake(self, uid: str, active: list[Object], found: set[str]) -> None:
+    def _overtake(self, uid: str, made: list[float]) -> None:
         """Count for others' pods that wait how many, made later, have found a node now."""
-        made = [
-            moment(run["metadata"].get("creationTimestamp")) or 0.0
-            for run in active
-            if label_value(run["metadata"]["name"]) in found
-        ]
         for other, account in self._accounts.items():
             if other != uid and account.waiting:
                 latest = max(account.waiting.values())
@@ -315,6 +323,7 @@ class SlotSharing:
             if name != uid and count > len(other.waiting) and other.called is None and other.contender.asks:
                 other.called = now
                 cluster.queue.add(other.key)
+        self._call_for_news(cluster, uid)
         account = self._accounts.get(uid or "")
         if account is None or account.waiting:
             return 0  # its pods that wait have the next slots
@@ -322,6 +331,14 @@ class SlotSharing:
         contender = account.contender
         account.contender = replace(contender, held=contender.held + starts, asks=contender.asks - starts)
         return starts
+
+    def _call_for_news(self, cluster: Cluster, uid: str | None) -> None:
+        """Have other Sweeps look, soon, whose shares are clearly not those that they tell of."""
+        for name, account in self._accounts.items():
+            told = account.share.fair if account.share is not None else None
+            fair = self._division.sweeps.get(name, 0.0)
+            if name != uid and told is not None and abs(fair - told) > max(_NEWS_SLOTS, _NEWS_PART * told):
+                cluster.queue.add(account.key, cluster.settings.sweep_write_seconds)
 
     @staticmethod
     def _bounded(account: _Account, contender: Contender) -> Contender:
@@ -358,11 +375,8 @@ class SlotSharing:
     async def _tell(
         self, cluster: Cluster, look: SweepLook, account: _Account, blocked: tuple[str, str] | None
     ) -> None:
-        """Have a Sweep's status say what its share is, unless that was told a moment ago."""
-        now = cluster.clock()
-        if account.share is not None and now - account.told_at < cluster.settings.sweep_write_seconds:
-            return
-        account.told_at = now
+        """Find out what a Sweep's status says of its share."""
+        now = account.told_at = cluster.clock()
         pending = _pending(look)
         await self._learn_from_archive(account)
         account.work = account.times.work(look.memory, pending, now)

@@ -17,6 +17,7 @@ import hashlib
 import json
 import math
 from itertools import islice
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 try:
@@ -133,6 +134,16 @@ class Names(NamedTuple):
     common: dict[str, Any]
 
 
+class Constant(NamedTuple):
+    """The same value in all of some rows.
+
+    Attributes:
+        value: the value.
+    """
+
+    value: Any
+
+
 def names_of(shape: Any) -> Names:
     """Return the names of a parsed shape's values: nested ones joined by dots, items of lists numbered."""
     own: list[str | None] = []
@@ -195,7 +206,7 @@ def _name(shape: Any, name: str, own: list[str | None], common: dict[str, Any]) 
 
 def turned(
     held: Sequence[Any], shapes: Mapping[int, Names]
-) -> Iterator[tuple[list[int] | None, dict[str, Sequence[Any]]]]:
+) -> Iterator[tuple[list[int] | None, dict[str, Sequence[Any] | Constant]]]:
     """Turn divided documents round: yield the values of those that have the same names, by name.
 
     Args:
@@ -209,7 +220,7 @@ def turned(
         MissingShapeError: a shape is not there, or has another number of values.
     """
     groups: dict[tuple[str | None, ...], list[int]] = {}
-    numbers = [item[0] for item in held]
+    numbers = list(map(itemgetter(0), held))
     try:
         layouts = {number: shapes[number].own for number in set(numbers)}
     except KeyError as error:
@@ -228,12 +239,12 @@ def turned(
 
 def _columns(
     held: Sequence[Sequence[Any]], numbers: Sequence[int], shapes: Mapping[int, Names]
-) -> dict[str, Sequence[Any]]:
+) -> dict[str, Sequence[Any] | Constant]:
     used = {number: shapes[number] for number in set(numbers)}
     layout = used[numbers[0]].own
     try:
         values = list(zip(*held, strict=True))[1:]
-        found: dict[str, Sequence[Any]] = {
+        found: dict[str, Sequence[Any] | Constant] = {
             name: column for name, column in zip(layout, values, strict=True) if name is not None
         }
     except ValueError:
@@ -241,8 +252,9 @@ def _columns(
     for name in dict.fromkeys(name for one in used.values() for name in one.common):
         by_shape = {number: one.common.get(name) for number, one in used.items()}
         different = set(by_shape.values())
-        constant = different.pop() if len(different) == 1 else None
-        found[name] = [constant] * len(numbers) if not different else [by_shape[number] for number in numbers]
+        found[name] = (
+            Constant(different.pop()) if len(different) == 1 else [by_shape[number] for number in numbers]
+        )
     return found
 
 
