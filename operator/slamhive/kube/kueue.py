@@ -70,7 +70,7 @@ def taken(job: Object | None, pods: Iterable[Object], at_work_since: float | Non
     changed = suspended_or_resumed(job)
     if gone or job is None or has_ended(job) or at_work_since is None or changed is None:
         return (*gone,)
-    return (f"{job['metadata']['uid']} at {changed:.0f}",) if at_work_since < changed else ()
+    return (f"{job['metadata']['uid']}@{changed:.0f}",) if at_work_since < changed else ()
 
 
 def held_back(job: Object) -> Waiting:

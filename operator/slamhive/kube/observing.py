@@ -95,7 +95,8 @@ class Attempted:
             what is left is to be read and given to `with_report`; ``end`` is what stands if nothing is found.
         ending: how the algorithm's container ended.
         told: what the kubelet made of its entire pod, if anything.
-        disrupted: UIDs of its pods that are taken, or were, by no fault of theirs, the oldest first.
+        disrupted: UIDs of its pods that are taken, or were, by no fault of theirs, oldest first, and stay.
+        put_off: UIDs of its pods that go, or went, because its Job was suspended, and don't stay.
         pod: name of its pod.
         pod_uid: identity of its pod, by which its folder is named.
         node: the node it ran on.
@@ -114,6 +115,7 @@ class Attempted:
     ending: Ending | None = None
     told: AttemptEnd | None = None
     disrupted: tuple[str, ...] = ()
+    put_off: tuple[str, ...] = ()
     pod: str | None = None
     pod_uid: str | None = None
     node: str | None = None
@@ -174,8 +176,8 @@ def observe_attempt(
     if pod is None:
         if job is None:
             return Attempted()
-        return replace(_without_pod(job, was_interrupted=was_interrupted), disrupted=gone)
-    seen = replace(_seen(job, pod), disrupted=(*disrupted(pods), *gone))
+        return replace(_without_pod(job, was_interrupted=was_interrupted), put_off=gone)
+    seen = replace(_seen(job, pod), disrupted=disrupted(pods), put_off=gone)
     if is_finished(pod) and was_taken(job, pod):
         return _taken(seen, job, pod)
     if not is_finished(pod):

@@ -188,7 +188,7 @@ class MappingRunStatus(Status):
     judged: _Count | None = optional("Number of the last attempt whose fault is counted.")
     disruptions: _Count | None = optional("Pods that evictions, preemptions, queues or lost nodes took.")
     disrupted_pod: _Line | None = optional(
-        "UID of the last pod among them; of its Job, and the time, where nobody saw it go."
+        "UIDs of the last pods among them; of the Job, with the time, where nobody saw one go."
     )
     not_before: _Time | None = optional("When another attempt may begin.")
     variant: _Line | None = optional("Prepared form of the dataset that it reads.")

@@ -191,6 +191,44 @@ async def test_what_a_queue_took_while_no_operator_looked_is_counted_too(lab: La
     assert (status["phase"], status["disruptions"], status["attempts"]) == ("Succeeded", 1, 1)
 
 
+async def test_what_a_drain_and_a_queue_take_in_turns_is_counted_once_each(lab: Lab) -> None:
+    taken = {"phase": "Failed", "conditions": [{"type": "DisruptionTarget", "status": "True"}]}
+    known: set[str] = set()
+
+    async def next_pod(op: Any) -> str:
+        def at_work() -> list[dict[str, Any]]:
+            found = [pod for pod in pods(lab) if pod["status"]["phase"] == "Running"]
+            return [pod for pod in found if pod["metadata"]["uid"] not in known]
+
+        [pod] = await until(at_work, "a pod")
+        known.add(pod["metadata"]["uid"])
+        await status_of(op, Kind.MAPPING_RUN, "one", is_running)
+        return str(pod["metadata"]["name"])
+
+    async with lab.operator() as op:
+        lab.apply(queued(run(retries=0)))
+        await waits(op, QUEUE)
+        let_in(lab)
+        for number in range(1, 6):
+            name = await next_pod(op)
+            if number % 2:
+                lab.patch("pod", name, {"status": taken}, subresource="status")
+            else:
+                lab.cluster.ignore_sigterm(now=True)
+                put_off(lab)
+                await waits(op, "its Job was suspended")
+                lab.cluster.ignore_sigterm(now=False)
+            await status_of(
+                op, Kind.MAPPING_RUN, "one", lambda found, n=number: found.get("disruptions") == n
+            )
+            if not number % 2:
+                await waits(op, QUEUE)
+                let_in(lab)
+        await next_pod(op)
+        status = await status_of(op, Kind.MAPPING_RUN, "one", is_running)
+    assert (status["disruptions"], status["attempts"]) == (5, 1)
+
+
 async def test_a_run_that_is_put_off_too_often_ends_with_a_reason_of_its_own(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -39,11 +39,14 @@ class Disruptions:
     def of(cls, status: Mapping[str, Any], attempted: Attempted) -> Disruptions:
         """Return the disruptions that a status has counted, and those seen beyond."""
         count, last = status.get("disruptions") or 0, status.get("disruptedPod")
+        # The last one of those that stay, and the last one of those that don't.
+        known = (last or "").split()
         taken = [*attempted.disrupted]
-        fresh = taken[taken.index(last) + 1 :] if last in taken else taken
+        before = max((taken.index(uid) + 1 for uid in known if uid in taken), default=0)
+        fresh = taken[before:] + [uid for uid in attempted.put_off if uid not in {*known, *taken}]
         if not fresh or attempted.state is not AttemptState.RUNNING:
             return cls(count, last)
-        return cls(count + len(fresh), fresh[-1], is_news=True)
+        return cls(count + len(fresh), " ".join(dict.fromkeys(taken[-1:] + fresh[-1:])), is_news=True)
 
     @property
     def sentence(self) -> str:
