@@ -62,6 +62,7 @@ DEFAULTS: Object = {
         "seed": 0,
     },
     "suspend": False,
+    "weight": 1,
 }
 SECONDS = 60.0
 SWEEP = {"template": {"spec": SPEC}, "matrix": [{"path": "parameters.size", "values": [1, None, {"a": 1}]}]}

@@ -133,7 +133,6 @@ class SharingSettings(Model):
     slots: int | None = Field(default=None, ge=1)
     namespaces: dict[NamespaceName, NamespaceSharing] = Field(default_factory=dict)
     read_nodes: bool = False
-    read_priority_classes: bool = False
 
 
 class Settings(Model):

@@ -174,6 +174,9 @@ class Cluster:
     async def event(self, _kind: Kind, regarding: dict[str, Any], _type: str, reason: str, text: str) -> None:
         self.told[regarding["metadata"]["name"], reason] = text
 
+    async def quotas(self, _namespace: str) -> list[dict[str, Any]]:
+        return []
+
     async def events(self, _namespace: str, reason: str) -> list[dict[str, Any]]:
         jobs = [body["metadata"]["uid"] for key, body in self.objects.items() if key.kind is Kind.JOB]
         return [

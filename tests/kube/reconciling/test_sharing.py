@@ -106,7 +106,7 @@ async def test_an_edit_of_the_weight_takes_effect(make_fake_lab: Callable[..., L
     async with lab.operator(sharing={"slots": 4}) as op:
         lab.apply(sweep("first", sizes=30, parallelism=10))
         await until(lambda: in_flight(op, "lab", "first") == 4, "the first to have all")
-        lab.apply(sweep("second", sizes=30, parallelism=10, weight=1000))
+        lab.apply(sweep("second", sizes=30, parallelism=10, weight=1000, cachePolicy="Rerun"))
         waiting = await until(
             lambda: (found := status_in(op, "lab", "second").get("share")) and found.get("place") and found,
             "it to be in the line",
