@@ -20,7 +20,7 @@ from slamhive.analysis.grouping import aggregate
 from slamhive.analysis.importance import importance
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.pareto import nondominated, pareto
-from slamhive.analysis.repeating import repeatability, suspects
+from slamhive.analysis.repeating import repeatability, spread_within, suspects
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -196,6 +196,7 @@ def test_competitors_without_a_common_dataset_are_not_compared() -> None:
         ("input.pace", "ate.rmse", 2),
         ("provenance.cpuModel", "ate.rmse", 1),
         ("provenance.cpuModel", "usage.wallSeconds", 2),
+        ("provenance.machine.governor", "usage.wallSeconds", 2),
     ],
 )
 def test_facets_are_never_mixed_silently(column: str, metric: str, boards: int) -> None:
@@ -206,7 +207,8 @@ def test_facets_are_never_mixed_silently(column: str, metric: str, boards: int) 
     ]
     found = leaderboard(frame_of(rows), metric)
     assert len(found.boards) == boards
-    assert boards == 2 or any("processors" in note for note in found.notes)
+    said = {"provenance.cpuModel": "of different processors", "provenance.machine.governor": "governor"}
+    assert any(said.get(column, "") in note for note in found.notes) or column not in said
 
 
 def test_the_sequence_is_the_unit_of_a_comparison() -> None:
@@ -345,6 +347,19 @@ def test_equal_trajectories_count_once() -> None:
     assert one.relative_spread == pytest.approx(math.sqrt(2) / 2)
     (same,), _ = repeatability(frame_of(rows[:4]))
     assert same.verdict == "deterministic: one result, 4 equal runs"
+
+
+def test_spread_is_of_repetitions_not_of_settings() -> None:
+    settings = {1: (1.0, 1.2), 2: (9.0, 9.2, 9.4), 3: (5.0,)}
+    rows = [
+        make_row("a", "x", error, **{"parameters.n": number})
+        for number, errors in settings.items()
+        for error in errors
+    ]
+    found, _ = repeatability(frame_of(rows))
+    # Of 1 and 2 degrees of freedom; a setting that ran once says nothing.
+    pooled = math.sqrt((1 * 0.02 + 2 * 0.04) / 3)
+    assert spread_within(found, ("algorithm", "dataset")) == {("a", "x"): pytest.approx(pooled)}
 
 
 @pytest.mark.parametrize("again", [0, 2])

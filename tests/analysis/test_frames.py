@@ -11,6 +11,7 @@ from slamhive.analysis.columns import Column
 from slamhive.analysis.derived import with_derived
 from slamhive.analysis.flattening import spread
 from slamhive.analysis.grouping import aggregate
+from slamhive.model.errors import UnknownNameError
 
 if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
@@ -42,6 +43,14 @@ def test_intervals_begin_with_ten(count: int) -> None:
     figure = aggregate(frame_of(rows), ["ate.rmse"], ["algorithm"]).cells[0].figures["ate.rmse"]
     assert (figure.mean_interval is None, figure.median_interval is None) == (count < 10, count < 10)
     assert len(figure.points) == (count if count < 10 else 0)
+
+
+def test_of_columns_that_every_table_has_the_last_part_is_enough_without_a_value_too() -> None:
+    frame = frame_of([{"algorithm": "a"}])
+    assert frame.resolve("governor") == "provenance.machine.governor"
+    assert frame.resolve("node") == "provenance.node"
+    with pytest.raises(UnknownNameError, match="unknown column 'governour'"):
+        frame.resolve("governour")
 
 
 def test_the_extended_error_grows_as_coverage_falls() -> None:

@@ -210,6 +210,20 @@ def test_loads_of_processors_are_kept_apart_and_errors_are_not() -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("governor", ["performance", "powersave"]), *((name, [True, False]) for name in ("smt", "turbo"))],
+)
+def test_loads_on_machines_of_different_settings_are_kept_apart(name: str, values: list[Any]) -> None:
+    column, load = f"provenance.machine.{name}", {"usage.cpu.seconds": 5.0, "provenance.cpuModel": "x"}
+    rows = [row(1.0, **load, **{column: value}) for value in values]
+    assert len(aggregate(frame_of(rows), ["ate.rmse"]).cells) == 1
+    found = aggregate(frame_of(rows), ["usage.cpu.seconds"])
+    assert sorted(str(cell.keys[column]) for cell in found.cells) == sorted(map(str, values))
+    # What earlier versions did not record keeps nothing apart.
+    assert len(aggregate(frame_of([*rows[:1], row(1.0, **load)]), ["usage.cpu.seconds"]).cells) == 1
+
+
 def test_a_failed_run_counts_once_in_the_evaluation_that_it_would_have_had() -> None:
     rows = [
         row(1.0, sensors="stereo", evaluation="se3"),

@@ -23,6 +23,7 @@ from slamhive import __version__
 from slamhive.analysis.measuring import Subject, measure, options, settings_hash
 from slamhive.analysis.subjects import SubjectItem
 from slamhive.bridges.bundles.contents import (
+    MEASURED,
     METADATA,
     STUDY,
     BundledRun,
@@ -125,7 +126,7 @@ def main() -> None:
             assert not any("error" in one for one in evaluate_pairs(pairs, [options(SETTINGS, SUBJECT)]))
             alone.append(time.perf_counter() - start)
             start = time.perf_counter()
-            with opened_bundle(study) as opened:
+            with opened_bundle(study, later=MEASURED) as opened:
                 found = verify(bench, opened, truth.parent)
             ours.append(time.perf_counter() - start)
             assert found.results == RUNS

@@ -51,11 +51,12 @@ class Bench:
         self.where = operating.namespace(access, "bench-runs")
         self.loops = JobLoops(access, pool.name, "bench-jobs", self.where)
 
-    def run_sweep(self, count: int, window: int) -> None:
+    def run_sweep(self, count: int, window: int, labels: dict[str, str] | None = None) -> None:
         """Bring a Sweep to its end."""
         self._number += 1
         name = f"study-{self._number}"
         body = sweep(name, sizes=count, parallelism=window, cachePolicy="Rerun")
+        body["metadata"]["labels"] = labels or {}
         asyncio.run(self._sweep(name, body, count))
 
     async def _sweep(self, name: str, body: dict[str, Any], count: int) -> None:

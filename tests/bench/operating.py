@@ -36,7 +36,7 @@ MEMORY_LIMIT_MIB = 200
 """Of the operator."""
 NEW_KINDS_SECONDS = 35.0
 """After that the cluster's garbage collector has noticed our kinds; until then it tries again and again."""
-PROGRAMS = ("kube-apiserver", "etcd", "kube-controller-manager", "kube-scheduler", "kwok")
+PROGRAMS = ("kube-apiserver", "etcd", "kube-controller-manager", "kube-scheduler", "kwok", "kueue")
 
 
 def report(what: str, ours: str, peer: str) -> None:

@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 import shutil
+import signal
 import subprocess
 import sys
 import zipfile
@@ -15,9 +17,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from furnishing import furnish
-from slamhive.archive import Archive
+from slamhive.archive import Archive, SweepRecord
+from slamhive.bridges.bundles import verifying
 from slamhive.data.files import unpacking
 from slamhive.local.home.folder import Home
+from slamhive.model.results import IMPORTED, Phase, RunRecord
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -73,6 +77,20 @@ def test_a_study_stays_its_own_beside_the_same_program_of_somebody_else(
     code, _, err = run_command("bundle", "acts", *words)
     assert code == 0, err
     assert again.read_bytes() == study.read_bytes()
+
+
+def test_runs_of_the_original_slam_hive_are_refused(
+    elsewhere: Path, tmp_path: Path, run_command: Command
+) -> None:
+    spec = {"algorithmRef": {"name": "a"}, "datasetRef": {"name": "tiny"}, "sensors": "mono"}
+    record = RunRecord(uid="1", name="run-1", spec=spec, phase=Phase.SUCCEEDED, labels={"source": IMPORTED})
+    with Archive.open(Home.at(elsewhere).archive_url) as archive:
+        archive.put_sweep(SweepRecord(uid=IMPORTED, name=IMPORTED, spec={}))
+        archive.put_run(record.replace(sweep=IMPORTED, sweep_uid=IMPORTED))
+    code, _, err = run_command("bundle", IMPORTED, "-o", tmp_path / "new.zip")
+    assert code == 2
+    assert "came from the original SLAM Hive, which has no manifests of what ran" in " ".join(err.split())
+    assert not (tmp_path / "new.zip").exists()
 
 
 def test_figures_agree_where_nobody_knows_the_system(
@@ -138,6 +156,25 @@ def test_figures_that_were_made_up_are_named(
     assert told[-1]["differ"] == 1
 
 
+@pytest.mark.parametrize("able", [1, 0])
+def test_runs_that_take_too_much_together_are_computed_one_by_one(
+    *, able: int, elsewhere: Path, study: Path, run_command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer = verifying.Recomputing.__call__
+
+    def greedy(self: verifying.Recomputing, tasks: list[Any], truths: dict[str, Any]) -> Any:
+        if len(tasks) > able:
+            os.kill(os.getpid(), signal.SIGXCPU)
+        return answer(self, tasks, truths)
+
+    monkeypatch.setattr(verifying.Recomputing, "__call__", greedy)
+    monkeypatch.setattr(verifying, "_GROUPS", 1)
+    code, out, _ = run_command("verify", study, "-j", "1", "--json")
+    *lines, total = json.loads(out)
+    assert code == total["differ"] / 2 == len(lines) / 2 == 1 - able
+    assert {one["recomputed"] for one in lines} <= {"it takes more than 600 s of CPU time"}
+
+
 BROKEN: dict[str, dict[str, bytes | None]] = {
     "lacks a file": {"{trajectory}": None},
     "lacks the crate": {"ro-crate-metadata.json": None},
@@ -159,6 +196,9 @@ def broken(rezip: Callable[..., Path], kind: str, trajectory: str, folder: Path)
     if kind == "other":
         with zipfile.ZipFile(path, "w") as archive:
             archive.writestr("readme.txt", "x")
+    elif kind == "rare":
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_BZIP2) as archive:
+            archive.writestr("study.json", "{}")
     else:
         path.write_text("no archive")
     return path
@@ -179,7 +219,8 @@ def broken(rezip: Callable[..., Path], kind: str, trajectory: str, folder: Path)
         ("a wrong field", "study.json: name: Input should be a valid string, found '3'"),
         ("a wrong name", "run.json: algorithm: Field required"),
         ("other", "has no study.json: it is no bundle of slamhive bundle"),
-        ("text", "text.zip: is damaged, or no archive"),
+        ("text", "text.zip: is damaged, or no zip file"),
+        ("rare", "rare.zip: study.json: is encrypted or packed in a rare way: refused"),
     ],
 )
 def test_what_is_no_bundle_is_refused_by_name(

@@ -156,6 +156,15 @@ def test_wall_time_is_that_of_so_many_at_a_time(desk: Desk) -> None:
     assert "as if there were room" in desk.text("-j", "1000")
 
 
+def test_runs_with_the_machine_for_themselves_are_expected_one_after_another(desk: Desk) -> None:
+    desk.keep(*range(12))
+    one = desk.estimate("-j", "1")["wallSeconds"]["estimate"]
+    desk.file.write_text(MANIFEST.replace("timeout: 5m", "timeout: 5m, resources: {exclusiveNodes: true}"))
+    alone = desk.estimate()
+    assert alone["nearest"] == {"the same settings": 12}
+    assert alone["wallSeconds"]["estimate"] == pytest.approx(one)
+
+
 def test_the_farther_the_known_runs_are_the_wider_the_interval(desk: Desk) -> None:
     desk.keep(*range(12))
     same = desk.estimate()["cpuSeconds"]

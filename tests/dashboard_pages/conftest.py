@@ -112,7 +112,11 @@ def make_record(number: int) -> RunRecord:
             "started": finished,
             "finished": finished,
             "usage": {
-                "cpu": {"meanCores": 1.0 + number % 4, "maxCores": 2.0, "seconds": 60.0},
+                "cpu": {
+                    "meanCores": 1.0 + number % 4,
+                    "maxCores": 2.0,
+                    "seconds": (60.0, 66.0)[number // 16 % 2],
+                },
                 "memory": {"peakBytes": 2**28 + number, "meanBytes": 1e8},
                 "wallSeconds": 60.0,
                 "samples": 30,
@@ -123,7 +127,8 @@ def make_record(number: int) -> RunRecord:
             "labels": {"camera": ("front", "back")[number // 4 % 2]},
             "results": [] if failed else [result],
             "folder": f"runs/study/run-{number:03d}" if number < WITH_FILES else None,
-            "provenance": {"contentHash": f"{number:064x}", "slamhiveVersion": "0.1.0"},
+            "provenance": {"contentHash": f"{number:064x}", "slamhiveVersion": "0.1.0", "cpuModel": "P"}
+            | {"node": f"node-{number // 16 % 2}", "machine": {"governor": "performance"}},
         }
     )
 

@@ -189,6 +189,21 @@ def test_embedded_page_is_the_content_alone(browser: Any, site: str, path: str) 
     assert browser.run("document.querySelectorAll('header, .filters, .controls, .tabs').length") == 0
 
 
+@pytest.mark.parametrize("width", [1280, 390])
+def test_a_long_title_cuts_no_menu(browser: Any, site: str, width: int) -> None:
+    browser.open(f"{site}/", width=width)
+    title = "Results of the robotics laboratory at the University of Somewhere, spring 2026"
+    browser.run(f"document.querySelector('header .brand').lastChild.data = {title!r}")
+    room = "(({scrollWidth, clientWidth}) => scrollWidth - clientWidth)(document.querySelector('header nav'))"
+    # On a phone no menu has room, whatever the title: it is moved by a finger.
+    assert (browser.run(room) > 0) == (width == 390)
+    tops = "['.brand', 'button'].map((one) => document.querySelector(`header ${one}`).offsetTop)"
+    if width == 390:
+        brand, button = browser.run(tops)
+        assert button - brand < 60
+    assert browser.run("document.documentElement.scrollWidth <= innerWidth")
+
+
 def test_theme_is_turned_and_kept(browser: Any, site: str) -> None:
     browser.open(f"{site}/")
     before = browser.run("getComputedStyle(document.body).backgroundColor")

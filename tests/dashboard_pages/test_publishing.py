@@ -25,6 +25,7 @@ from slamhive.model.errors import InputError
 
 pytest.importorskip("fastapi")
 
+from slamhive.dashboard.publishing import questions
 from slamhive.dashboard.publishing.building import SiteWish, build
 from slamhive.dashboard.sources.archived import Workstation
 
@@ -165,6 +166,13 @@ def test_answers_are_those_of_the_api(site: str, folder: Path) -> None:
 
 
 @pytest.mark.browser
+def test_the_papers_tables_are_asked_for_as_the_pages_do() -> None:
+    static = Path(questions.__file__).parents[1] / "static"
+    text = (static / "core" / "questions.js").read_text()
+    absent = [part for table in questions.PAPER_TABLES for part in table if part not in text]
+    assert absent == []
+
+
 def test_choices_that_need_a_server_say_so(browser: Browser, published: str) -> None:
     browser.open(f"{published}#/leaderboard?where=coverage%20%3E%200.5")
     assert "no server to read that condition" in browser.text()

@@ -58,6 +58,12 @@ def test_the_operator_has_what_it_needs(helm: Any) -> None:
         assert found[f"{kind}.slamhive.io"] == READ
 
 
+def test_the_operator_lists_workloads_of_kueue_where_that_is_asked_for_alone(helm: Any) -> None:
+    name = "workloads.kueue.x-k8s.io"
+    assert name not in rules(helm.objects(), "operator")
+    assert rules(helm.objects("--set", "kueue.enabled=true"), "operator")[name] == {"list"}
+
+
 def test_the_others_only_read(helm: Any) -> None:
     objects = helm.objects("-f", str(VALUES / "team.yaml"))
     assert rules(objects, "dashboard") == {f"{kind}.slamhive.io": READ for kind in KINDS}

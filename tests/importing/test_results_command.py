@@ -32,6 +32,16 @@ def test_an_empty_archive(show: Command, words: tuple[str, ...]) -> None:
         assert json.loads(outcome.stdout) == []
 
 
+@pytest.mark.parametrize(
+    ("form", "empty"), [("table", ""), ("markdown", "| node | kind |"), ("csv", ""), ("json", "[]")]
+)
+def test_runs_without_a_node_have_none_to_compare(filled: Command, form: str, empty: str) -> None:
+    outcome = filled("nodes", "--format", form)
+    assert outcome.exit_code == 0
+    assert outcome.stdout.strip().startswith(empty)
+    assert "of no run both node and CPU time are known" in outcome.stderr
+
+
 def test_failures_stand_beside_the_means(filled: Command) -> None:
     lines = filled("table", "--format", "markdown").stdout.splitlines()
     assert any(

@@ -29,4 +29,5 @@ holds<Api.Leaderboard>(answers['/api/v1/analysis/leaderboard']);
 holds<Api.Pareto>(answers['/api/v1/analysis/pareto?x=usage.cpu.meanCores&y=ate.rmse']);
 holds<Api.Repeatability>(answers['/api/v1/analysis/repeatability']);
 holds<Api.Suspects>(answers['/api/v1/analysis/suspects']);
+holds<Api.Nodes>(answers['/api/v1/analysis/suspects/nodes']);
 holds<Api.Versions>(answers['/api/v1/analysis/versions']);

@@ -37,7 +37,11 @@ import {
 import { scores, standings } from '../../operator/slamhive/dashboard/static/charts/standings.js';
 import { truthChart } from '../../operator/slamhive/dashboard/static/charts/truth.js';
 import { reachChart } from '../../operator/slamhive/dashboard/static/charts/reach.js';
-import { spreadChart, suspectChart } from '../../operator/slamhive/dashboard/static/charts/spread.js';
+import {
+  nodesChart,
+  spreadChart,
+  suspectChart,
+} from '../../operator/slamhive/dashboard/static/charts/spread.js';
 import { overTime, plane } from '../../operator/slamhive/dashboard/static/charts/trajectory.js';
 import { dressed } from '../../operator/slamhive/dashboard/static/core/chart.js';
 import { answer, HOSTILE } from './helpers.js';
@@ -192,6 +196,7 @@ const CHARTS = {
     }).option,
   reach: (text) => reachChart(AXIS, [reached(text), { name: 'never run', cell: null }]).option,
   suspects: (text) => suspectChart([{ keys: { algorithm: text }, scale: 1.04, spread: 0.01, n: 3 }]).option,
+  nodes: (text) => nodesChart([{ node: text, ratio: 1.1, low: 1, high: null, sentence: text }]).option,
   plane: (text) => plane([track(text), track('b', [0, 1, null, 3])], [track(text)], 'x', 'y', null),
   'plane by error': (text) => plane([track(text, [0, 1, null, 3])], [], 'x', 'z', { low: 0, high: 3 }),
   'over time': (text) => overTime([{ name: text, t: [0, 1, 90], values: [1, null, 2] }], text, 'time [s]'),
@@ -283,6 +288,7 @@ test('kept answers of a dashboard are drawn', () => {
   assert.ok(drawn(pairsChart(answer('/analysis/compare').boards[0].pairs, ERROR).option).length > 1000);
   assert.ok(drawn(spreadChart(answer('/analysis/repeatability')).option).length > 1000);
   assert.ok(drawn(suspectChart(answer('/analysis/suspects').items).option).length > 1000);
+  assert.ok(drawn(nodesChart(answer('/analysis/suspects/nodes').items).option).length > 1000);
   assert.ok(drawn(importanceCharts(answer('/analysis/importance').subjects[0]).option).length > 1000);
   assert.ok(drawn(dumbbells(answer('/analysis/common').groups[0].entries).option).length > 1000);
 });

@@ -157,6 +157,20 @@ test('poses of the IMU and of the LiDAR have a ground truth each, which says who
   );
 });
 
+test('each dataset has its own ground truth, however near they are', () => {
+  const hall = { of: 'kiss-icp', dataset: 'hall', reference: track };
+  const yard = { ...hall, dataset: 'yard' };
+  const other = { of: 'rko-lio', dataset: 'yard', reference: { ...track, z: track.z.map((z) => z - 1) } };
+  const names = (...runs) => truthsOf(runs).map((one) => one.name);
+  assert.deepEqual(names(hall, hall), ['ground truth']);
+  assert.deepEqual(names(hall, yard), ['ground truth of hall', 'ground truth of yard']);
+  assert.deepEqual(names(hall, yard, other), [
+    'ground truth of hall',
+    'ground truth of kiss-icp on yard',
+    'ground truth of rko-lio on yard',
+  ]);
+});
+
 test('a ring says where a path begins and a dot where it ends, also where it is closed', () => {
   const named = (option) =>
     option({ width: 800, height: 400 })

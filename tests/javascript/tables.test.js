@@ -371,13 +371,18 @@ test('Explore opens with what was swept, by algorithm, not with what algorithms 
     { ...column('usage.cpu.meanCores', 'usage', 1, 2), kind: 'number' },
   ];
   const opened = (search, varied = ['parameters.maxRange']) => {
-    const { x, colour } = settingsOf(Query.parse(search), { items, varied });
+    const { x, colour } = settingsOf(Query.parse(search), { items, varied, rows: 9 });
     return [x, colour];
   };
   assert.deepEqual(opened(''), ['parameters.maxRange', 'algorithm']);
   assert.deepEqual(opened('x=parameters.minRange'), ['parameters.minRange', ''], 'as the address says');
   assert.deepEqual(opened('kind=contour'), ['parameters.maxRange', '']);
   assert.equal(opened('', [])[0], 'usage.cpu.meanCores', 'nothing was swept');
+  const partly = { ...column('parameters.voxelSize', 'parameters', 1, 2, 3, 4), kind: 'number', count: 2 };
+  items.push(partly);
+  const both = ['parameters.voxelSize', 'parameters.maxRange'];
+  assert.equal(opened('', both)[0], 'parameters.maxRange', 'what all runs have comes first');
+  assert.equal(opened('', [partly.name])[0], 'usage.cpu.meanCores', 'others would be missing');
 });
 
 test('the bar of a sweep is as red as its runs failed, and as long as it is finished', () => {

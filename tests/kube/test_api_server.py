@@ -50,6 +50,7 @@ DEFAULTS: Object = {
     "include": [],
     "repetitions": 1,
     "retention": {"files": "Keep", "runs": 1000},
+    "weight": 1,
     "search": {
         "aggregate": "Mean",
         "atATime": 4,
@@ -526,6 +527,29 @@ async def test_a_suspended_job_has_no_pod(server: Server) -> None:
     job = await server.job_is("Suspended")
     assert not job["status"].get("startTime")
     assert not await server.pods()
+
+
+async def test_a_job_that_is_suspended_gives_its_pod_away_uncounted_and_gets_another_later(
+    server: Server,
+) -> None:
+    policy = {"podReplacementPolicy": "Failed"}
+    await server.api.create(Kind.JOB, server.job(pool=server.play(Play(hold=True)), **policy))
+    first = await server.pod("Running")
+    key = Key(Kind.JOB, server.namespace, "work")
+    await server.api.patch(key, {"spec": {"suspend": True}})
+    await server.job_is("Suspended")
+
+    async def none() -> bool:
+        return not await server.pods()
+
+    await eventually(none)
+    await server.api.patch(key, {"spec": {"suspend": False}})
+    await server.pod("Running", not_uid=first["metadata"]["uid"])
+    job = await server.api.get(key)
+    [told] = job["status"]["conditions"]
+    assert (told["type"], told["status"], told["reason"]) == ("Suspended", "False", "JobResumed")
+    assert told["lastTransitionTime"] == job["status"]["startTime"]
+    assert not job["status"].get("failed")
 
 
 async def test_a_pod_without_a_node_waits_and_goes_at_once(server: Server) -> None:

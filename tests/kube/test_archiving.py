@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from testcluster.kept import RUN, Cluster, catalogued, standing
 
+from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
 from slamhive.archive import Archive
 from slamhive.kube.api.kinds import Kind
 from slamhive.kube.loop import Loop
@@ -18,6 +19,7 @@ from slamhive.kube.records import record_of
 from slamhive.kube.settings import EvaluationJobs
 from slamhive.kube.status import iso
 from slamhive.model.errors import InputError, SlamHiveError, SystemFault
+from slamhive.model.evaluation import EvaluationSettings
 from slamhive.model.results import Phase
 
 if TYPE_CHECKING:
@@ -172,9 +174,10 @@ async def test_runs_that_end_faster_than_they_are_measured_stop_new_ones(
     assert sentence == (
         f"{waiting} runs that have ended, {RETENTION} of them to keep, wait to be measured and archived"
     )
+    measured = RESULT | {SETTINGS_KEY: settings_hash(EvaluationSettings())}
     for run in runs_of(cluster):
-        change(cluster, run, results=[RESULT])
-    status = await go_on(cluster, key, 60)
+        change(cluster, run, results=[measured])
+    status = await go_on(cluster, key, 60, results=[measured])
     assert standing(status, "Blocked")[0] == "False"
     assert (status["phase"], status["progress"]) == ("Complete", f"{POINTS}/{POINTS}")
     assert switched.count() == POINTS

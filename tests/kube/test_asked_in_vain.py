@@ -72,6 +72,9 @@ class Kept:
     async def get(self, key: Key) -> dict[str, Any]:
         return self.objects[key]
 
+    async def quotas(self, _namespace: str) -> list[dict[str, Any]]:
+        return []
+
     async def create(self, kind: Kind, body: dict[str, Any], _namespace: str | None) -> dict[str, Any]:
         self.version += 1
         meta = body["metadata"] | {

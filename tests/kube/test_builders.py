@@ -32,7 +32,10 @@ from slamhive.kube.builders import (
 )
 from slamhive.kube.builders.common import passed_on
 from slamhive.kube.builders.player import player
+from slamhive.kube.builders.run import least_requests
+from slamhive.kube.builders.sending import sender_job
 from slamhive.kube.builders.variant import variant_request
+from slamhive.kube.capacity import bound_by_nodes
 from slamhive.kube.settings import PreparationJobs, Settings
 from slamhive.model.algorithm import TEXT_LIMIT, Algorithm
 from slamhive.model.dataset import Dataset
@@ -324,6 +327,26 @@ def test_every_pod_gets_the_runtime_class(name: str, monkeypatch: pytest.MonkeyP
     assert JOBS[name]()["spec"]["template"]["spec"]["runtimeClassName"] == "gvisor"
 
 
+def test_a_run_with_its_node_for_itself_is_kept_from_all_other_runs_whatever_pods_are_given() -> None:
+    def apart(**pods: Any) -> dict[str, Any]:
+        resources = {"exclusiveNodes": True}
+        return built(pods=pods, resources=resources)["spec"]["template"]["spec"]["affinity"]
+
+    rule = "requiredDuringSchedulingIgnoredDuringExecution"
+    [term] = apart()["podAntiAffinity"][rule]
+    labels = built()["spec"]["template"]["metadata"]["labels"]
+    assert term["labelSelector"]["matchLabels"].items() <= labels.items()
+    assert (term["namespaceSelector"], term["topologyKey"]) == ({}, "kubernetes.io/hostname")
+    node, other = {"nodeAffinity": {rule: {}}}, {"topologyKey": "zone"}
+    given = node | {"podAntiAffinity": {rule: [other]}}
+    assert apart(affinity=given) == node | {"podAntiAffinity": {rule: [other, term]}}
+    for pods, left in (({}, None), ({"affinity": node}, node), ({"affinity": given}, given)):
+        like = built(pods=pods, resources={"exclusiveNodes": True})["spec"]["template"]["spec"]
+        # Who fetches its files is no run, and waits for none.
+        assert sender_job("lab", "s", like)["spec"]["template"]["spec"].get("affinity") == left
+    assert "affinity" not in built(resources={"exclusiveNodes": False})["spec"]["template"]["spec"]
+
+
 def test_queues_labels_are_handed_on_and_no_others() -> None:
     labels = {
         "app": "payments",
@@ -604,3 +627,19 @@ def test_a_pod_is_told_where_in_a_folder_things_are() -> None:
         "path": "dataset/recording",
         "files": {"lidar": "velodyne", "times": "times.txt", "calibration": "calib.txt"},
     }
+
+
+def test_runs_with_nodes_for_themselves_are_no_more_than_nodes() -> None:
+    nodes = [
+        {
+            "metadata": {"name": name},
+            "status": {"allocatable": {"cpu": "16", "memory": "64Gi", "pods": "110"}},
+        }
+        for name in ("n1", "n2")
+    ]
+    resources = {"cpu": "1", "memory": "4Gi"}
+    counts = [
+        bound_by_nodes(nodes, least_requests(resources | more, settings()), {}).runs
+        for more in ({}, {"exclusiveNodes": True})
+    ]
+    assert counts == [26, 2]

@@ -322,7 +322,7 @@ def test_a_job_waits_for_its_pod_or_in_a_queue() -> None:
     assert (waiting.reason, waiting.since) == ("NoPod", datetime(2026, 1, 1, tzinfo=UTC).timestamp())
     queued = observe_attempt(job(suspend=True), []).waiting
     assert queued is not None
-    assert queued.reason == "Suspended"
+    assert queued.reason == "QueueWaits"
     assert observe_attempt(None, []) == Attempted()
 
 

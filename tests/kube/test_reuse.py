@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from slamhive.engine import AttemptState, VariantState
+from slamhive.engine import AttemptState, LoadConditions, VariantState
 from slamhive.kube.api.kinds import Key, Kind, Label
 from slamhive.kube.cluster import Cluster
 from slamhive.kube.observing import Attempted
@@ -72,6 +72,9 @@ def facts(run: dict[str, Any]) -> RunFacts:
     )
 
 
+CONDITIONS = {LoadConditions("fast"), LoadConditions("other")}
+
+
 def equal(model: str | None, **provenance: Any) -> dict[str, Any]:
     told = {"phase": "Succeeded", "usage": USAGE, "metrics": {"loops": 3}}
     return a_run("equal") | {"status": told | {"provenance": {"cpuModel": model, **provenance}}}
@@ -81,7 +84,9 @@ def equal(model: str | None, **provenance: Any) -> dict[str, Any]:
 def test_usage_is_taken_over_from_the_clusters_own_processors_alone(
     *, model: str | None, taken: bool
 ) -> None:
-    fields = reused_fields(record_of(equal(model)), facts(a_run()), {"fast", "other"})
+    fields = reused_fields(
+        record_of(equal(model)), facts(a_run()), {LoadConditions("fast"), LoadConditions("other")}
+    )
     assert (fields.usage is not None) == taken
     assert (fields.display is not None and fields.display.cpu is not None) == taken
     assert fields.metrics == {"loops": 3}
@@ -90,7 +95,9 @@ def test_usage_is_taken_over_from_the_clusters_own_processors_alone(
 
 def test_of_an_equal_run_as_many_results_are_taken_over_as_a_status_holds() -> None:
     results = [Result(evaluation=f"e{number}", outcome=Outcome.TRACKED) for number in range(40)]
-    status = reused_fields(record_of(equal("fast")).replace(results=results), facts(a_run()), {"fast"})
+    status = reused_fields(
+        record_of(equal("fast")).replace(results=results), facts(a_run()), {LoadConditions("fast")}
+    )
     assert len(status.results) == 32
 
 
@@ -126,17 +133,17 @@ async def test_an_archived_runs_processor_is_the_clusters_own_if_it_ran_there(
     reusable = runs_with(archived)
     found = await reusable.find(cluster_with_sweeps(cluster), facts(a_run(sweep="again")))
     assert found == archived
-    assert reusable.processors == known
+    assert {one.processor for one in reusable.conditions} == known
 
 
 def test_a_finished_runs_processor_is_the_clusters_own_unless_its_result_is_anothers() -> None:
     reusable = ReusableRuns(Catalogue())
     reusable.learn(equal("elsewhere", contentHash="c" * 64, reusedFrom="x"))
-    assert reusable.processors == set()
+    assert {one.processor for one in reusable.conditions} == set()
     here = equal("here", contentHash="c" * 64)
     here["metadata"] |= {"name": "other", "uid": "uid-other"}
     reusable.learn(here)
-    assert reusable.processors == {"here"}
+    assert {one.processor for one in reusable.conditions} == {"here"}
 
 
 @pytest.mark.parametrize(("sweep", "reused"), [("again", True), ("anew", False), (None, False)])
@@ -159,7 +166,7 @@ async def test_runs_that_ended_before_the_start_are_known_before_any_is_looked_a
     found = await known.find(cluster, looking)
     assert found is not None
     assert found.name == "equal"
-    assert known.processors == {"here", "there"}
+    assert {one.processor for one in known.conditions} == {"here", "there"}
 
 
 def test_what_is_known_of_finished_runs_goes_with_them() -> None:

@@ -9,13 +9,14 @@ import pytest
 from pydantic import ValidationError
 
 from slamhive.model.algorithm import AlgorithmSpec, Asset, LocalProgram, Parameter
+from slamhive.model.base import QUEUE_NAME, ObjectMeta
 from slamhive.model.dataset import DataFile, DatasetSpec, GroundTruth, Recording
 from slamhive.model.errors import InputError
 from slamhive.model.evaluation import RunSelector
 from slamhive.model.posefiles import PoseFile
 from slamhive.model.results import Usage
 from slamhive.model.sensors import Sensor
-from slamhive.model.sweep import Axis, Range
+from slamhive.model.sweep import Axis, Range, TemplateMeta
 
 ALGORITHM: dict[str, Any] = {"image": "i", "modes": [{"name": "lidar"}], "output": {"frame": "lidar"}}
 KITTI: dict[str, Any] = {"path": "poses.txt", "format": "Kitti"}
@@ -42,6 +43,8 @@ FILES: dict[str, Any] = {"files": [{"path": "a.bag"}]}
         (Asset, {"name": "a", "url": "https://x"}, "needs its sha256"),
         (Asset, {"name": "../a", "path": "a"}, "pattern"),
         (Asset, {"name": "a", "path": "/a"}, "pattern"),
+        (TemplateMeta, {"labels": {QUEUE_NAME: "Lab 1"}}, "found 'Lab 1'; try lab-1"),
+        (ObjectMeta, {"name": "a", "labels": {QUEUE_NAME: "a" * 64}}, "at most 63 characters"),
         (Asset, {"name": "a:b", "path": "a"}, "pattern"),
         (AlgorithmSpec, ALGORITHM | {"assets": [{"name": "a", "path": "a"}] * 2}, "used once"),
         (AlgorithmSpec, ALGORITHM | {"image": " i"}, "pattern"),

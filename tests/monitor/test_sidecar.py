@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from slamhive.monitor.measuring.machine import machine_report
 from slamhive.monitor.measuring.processes import children
 
 if TYPE_CHECKING:
@@ -67,6 +68,8 @@ def test_a_run_from_start_to_summary(pod: Pod) -> None:
     message = pod.message()
     assert message["usage"]["cpu"]["seconds"] == pytest.approx(usage["cpu"]["seconds"], abs=1e-6)
     assert message["trajectory"] == summary["trajectory"]
+    told = summary["machine"]
+    assert message["machine"] == told == machine_report(exclusive=told.get("exclusiveCores"))
     assert pod.end(sidecar) == summary
 
 

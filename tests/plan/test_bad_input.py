@@ -37,6 +37,15 @@ MANY = "matrix: [{path: seed, range: {from: 1, to: 400, step: 1}}, {path: retrie
         ),
         ("template: {spec: {timeout: 5 minutes}}", "spec.template.spec.timeout: expected a duration such as"),
         ("template: {spec: {resources: {memory: 4 GB}}}", "expected a quantity such as 2, 500m or 4Gi"),
+        (
+            "template: {spec: {resources: {exclusiveNodes: 2}}}",
+            "spec.template.spec.resources.exclusiveNodes: Input should be a valid boolean",
+        ),
+        (
+            "exclusiveNodes: true",
+            "spec.exclusiveNodes: unknown field 'exclusiveNodes'; did you mean 'template'?",
+        ),
+        ("template: {spec: {exclusiveNodes: true}}", "did you mean 'resources'?"),
         ("template: {spec: {input: fast}}", "input takes a mapping of fields, found 'fast'"),
         ("matrix: [{path: parameter.x, values: [1]}]", "spec.matrix[0].path: 'parameter.x' is no field"),
         ("matrix: [{path: input.framRate, values: [1]}]", "did you mean 'input.frameRate'?"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -29,9 +30,8 @@ def recorded(system: Any) -> Path:
     return system.folder / "base.json"
 
 
-@pytest.fixture
-def written(system: Any) -> Path:
-    """A baseline of the same that no run was needed for."""
+def write_baseline(path: Path, *numbers: int) -> Path:
+    """Write a baseline of settings that no run was needed for."""
     cells = [
         BaselineCell(
             sweep="s",
@@ -40,9 +40,16 @@ def written(system: Any) -> Path:
             tracked=[True, True],
             values={"ate.rmse": [0.0, 0.0], "usage.cpu.secondsPerDataSecond": [0.1, 0.1]},
         )
-        for number in (1, 2)
+        for number in numbers
     ]
-    Baseline(processor="Z80", cells=cells).write(system.folder / "base.json")
+    Baseline(processor="Z80", cells=cells).write(path)
+    return path
+
+
+@pytest.fixture
+def written(system: Any) -> Path:
+    """A baseline of the same that no run was needed for."""
+    write_baseline(system.folder / "base.json", 1, 2)
     system.sweep("s", {"parameters": {}}, matrix=AXIS)
     return system.folder / "base.json"
 
@@ -57,6 +64,30 @@ def test_unchanged_is_no_worse_by_few_runs_and_goes_on_where_it_was(system: Any,
     code, said, problems = system("gate", sweep, "--baseline", recorded, "--figure", "failures")
     assert code == 3, problems
     assert "can't tell: runs not tracked" in said
+
+
+def test_a_gate_that_does_runs_again_goes_on_when_it_was_interrupted(system: Any, until: Any) -> None:
+    numbers = [700, 701]  # ms, so that there is time to interrupt the second
+    sweep = system.sweep("s", matrix=[{"path": "parameters.number", "values": numbers}])
+    baseline = write_baseline(system.folder / "base.json", *numbers)
+    words = ("gate", sweep, "--baseline", baseline, "--figure", "ate", "--rerun", "-j", "1")
+
+    process = system.start(*words)
+    until(lambda: len(system.journal("start")) == 2, "the second run")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60) == 130
+    assert "the same command goes on from here" in system.printed(process)[1]
+
+    code, said, problems = system(*words)
+    assert code == 0, problems
+    assert "s: no worse (2 runs against base.json" in said
+    assert "goes on with what was interrupted: 1 run since" in problems
+    assert len(system.journal("start")) == 3
+
+    code, _, problems = system(*words)  # one that ended is done again, all of it
+    assert code == 0, problems
+    assert "goes on" not in problems
+    assert len(system.journal("start")) == 5
 
 
 def test_what_fails_now_is_worse_and_the_files_say_so(system: Any, recorded: Path) -> None:

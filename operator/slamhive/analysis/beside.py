@@ -12,17 +12,18 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slamhive.analysis.measures import KEPT_BESIDE
-from slamhive.analysis.measuring import measure, options, read_estimate
+from slamhive.analysis.measuring import SEGMENTS, measure, options, read_estimate
 from slamhive.contract.files import NotRegularError, compression_problem
 from slamhive.contract.lines import LIMIT_BYTES, named
 from slamhive.contract.output import KEYFRAMES, ONLINE
+from slamhive.contract.trajectory import FILE
 from slamhive.model.errors import InputError
 from slamhive_eval import (
     ControlPoints,
@@ -34,6 +35,7 @@ from slamhive_eval import (
     number_poses,
     read_covariances,
     read_health,
+    read_segments,
 )
 from slamhive_eval.evaluation import NO_POSE
 from slamhive_eval.formats.healthfiles import COVARIANCES, HEALTH
@@ -58,6 +60,35 @@ HEALTH_BYTES = 64 << 20
 Truth = Trajectory | Relations | ControlPoints
 Opened = Callable[[str], AbstractContextManager[int]]
 _WANTED: dict[str, Callable[[str], Any]] = {HEALTH: read_health, COVARIANCES: read_covariances}
+
+
+def measure_opened(
+    opened: Opened, reference: Truth, settings: EvaluationSettings, subject: Subject, name: str | None = None
+) -> Result:
+    """Return the result of a run by the files in its output folder.
+
+    Args:
+        opened: as `with_others` has it.
+        reference: as `measure` has it, and so are the rest.
+        settings: how to measure.
+        subject: what is known of the run.
+        name: the evaluation's name.
+
+    Raises:
+        InputError: a file can't be read, is no trajectory, or doesn't fit the settings.
+        EvaluationError: no pose is in a piece.
+        OSError: the trajectory can't be opened.
+    """
+    with opened(FILE) as descriptor:
+        estimate = _read(descriptor, FILE, read_estimate, LIMIT_BYTES)
+    pieces = None
+    # A system that lost track and began another map says so there: such maps have no common frame.
+    with suppress(FileNotFoundError):
+        if estimate is not None:
+            with opened(SEGMENTS) as descriptor:
+                pieces = _read(descriptor, SEGMENTS, read_segments, LIMIT_BYTES)
+    result = measure(reference, estimate, settings, subject, name, pieces=pieces)
+    return with_others(result, opened, reference, settings, subject, estimate=estimate, pieces=pieces)
 
 
 def with_others(

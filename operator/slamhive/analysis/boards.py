@@ -13,9 +13,11 @@ from slamhive.analysis.cells import Places
 from slamhive.analysis.columns import count_distinct
 from slamhive.analysis.grouping import (
     LOAD,
+    PROCESSOR,
     Copies,
     Groups,
     apart,
+    condition_words,
     copy_notes,
     counting,
     covered,
@@ -205,10 +207,10 @@ def prepare(
         facets.remove(VERSION)
         by = [*by, VERSION]
     if not any(metric.startswith(LOAD) for metric in metrics):
-        if varies(frame, "provenance.cpuModel") and "provenance.cpuModel" not in by:
+        if varies(frame, PROCESSOR) and PROCESSOR not in by:
             notes.append("runs of different processors are compared with each other")
-    elif "provenance.cpuModel" in facets:
-        notes.append("runs of different processors are ranked apart: their loads can't be compared")
+    elif unlike := condition_words(facets):
+        notes.append(f"runs {unlike} are ranked apart: their loads can't be compared")
     if "alignment" in facets or "evaluation" in facets:
         notes.append("runs of different evaluations are ranked apart: their errors can't be compared")
     pooled = [name for name in varying(frame) if name not in (*by, *facets)]

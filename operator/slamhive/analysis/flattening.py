@@ -43,7 +43,8 @@ CORE_COLUMNS: tuple[str, ...] = (
     *("usage.memory.anonymousPeakBytes", "usage.memory.workingSetPeakBytes"),
     *("usage.wallSeconds", "usage.includesReader", "frames.offered", "frames.processed", "frames.dropped"),
     *("input.pace", "input.frameRate", "input.resolution"),
-    *("trajectory.poses", "trajectory.durationSeconds", "provenance.cpuModel"),
+    *("trajectory.poses", "trajectory.durationSeconds", "provenance.node", "provenance.cpuModel"),
+    *(f"provenance.machine.{name}" for name in ("cores", "smt", "governor", "turbo", "exclusiveCores")),
     *("name", "uid", "index", "created", "started", "finished", "folder"),
 )
 """Columns that every table has, of nothing where nothing is known; others depend on what was run."""

@@ -125,7 +125,8 @@ class Frame:
             return name
         if self.has(f"{name}.rmse"):
             return f"{name}.rmse"
-        found = columns_ending_in(name, self._columns)
+        # What nobody knows a value of has its column all the same, as a whole name has.
+        found = columns_ending_in(name, self._columns) or columns_ending_in(name, CORE_COLUMNS)
         if len(found) > 1:
             raise InputError(f"{name!r} may be {', '.join(found[:6])}; write which", argument)
         if not found:

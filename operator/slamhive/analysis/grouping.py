@@ -3,7 +3,7 @@
 
 Figures are over tracked runs unless asked otherwise; beside them stand the number of runs, what became of
 those that don't count, and the coverage. What must never be averaged together (algorithms, datasets,
-evaluations, settings, paces, processors, versions) becomes a key by itself where it varies.
+evaluations, settings, paces, processors and their clocks, versions) becomes a key by itself where it varies.
 docs/results.md, "What counts", says the same in words.
 """
 
@@ -21,7 +21,7 @@ from slamhive.analysis.columns import Column, renumbered
 from slamhive.analysis.measures import BESIDE, CONFIGURATION, Better, follows_trajectory, is_error, measure_of
 from slamhive.analysis.statistics import bounds
 from slamhive.model.algorithm import Pace
-from slamhive.model.base import Choice
+from slamhive.model.base import Choice, plural
 from slamhive.model.results import Outcome, Reason
 
 if TYPE_CHECKING:
@@ -50,7 +50,16 @@ FACETS = (
 ORIGIN = "origin"
 """Column of whose runs are, in tables that hold runs of somebody else."""
 
-LOAD_FACETS = ("provenance.cpuModel", "usage.includesReader", ORIGIN)
+PROCESSOR = "provenance.cpuModel"
+"""Column of the model of a run's processor."""
+
+CONDITIONS = (
+    PROCESSOR,
+    *(f"provenance.machine.{name}" for name in ("smt", "governor", "turbo", "exclusiveCores")),
+)
+"""Columns of what says what a CPU second is: `engine.LoadConditions`."""
+
+LOAD_FACETS = (*CONDITIONS, "usage.includesReader", ORIGIN)
 """Columns that are never pooled where a figure of load is asked for."""
 
 MEMORY_FACETS = ("usage.memory.kind",)
@@ -62,6 +71,7 @@ OWNERS = {
     "evaluationVersion": "evaluation",
     "algorithm.version": "algorithm",
     "dataset.version": "dataset",
+    **dict.fromkeys(CONDITIONS[1:], PROCESSOR),
 }
 """Facets that need not be told where they follow from another one."""
 
@@ -213,6 +223,14 @@ def aggregate(
     return Aggregate(groups.names, tuple(facets), tuple(metrics), cells, groups, tuple(notes))
 
 
+def condition_words(names: Sequence[str]) -> str:
+    """Return the words for runs whose load some columns tell apart: ``of different processors``."""
+    unlike = [name for name in CONDITIONS if name in names]
+    if PROCESSOR in unlike:
+        return "of different processors"
+    return f"with different {' and '.join(measure_of(name).text for name in unlike)}" if unlike else ""
+
+
 def pooling_notes(pooled: Sequence[str]) -> list[str]:
     """Say which settings are averaged over."""
     if not pooled:
@@ -245,9 +263,9 @@ def disturbance_notes(frame: Frame, metrics: Sequence[str]) -> list[str]:
     left_out = [name for name in metrics if name in DISTURBED]
     count = frame.count_runs(frame.column("disturbed").floats() > 0) if left_out else 0
     if count:
-        runs = "1 run" if count == 1 else f"{count} runs"
         notes.append(
-            f"{runs} shared cores with other work or were throttled: left out of {', '.join(left_out)}"
+            f"{plural(count, 'run')} shared cores with other work or were throttled: left out of "
+            f"{', '.join(left_out)}"
         )
     timed = where_equal(frame, "input.pace", Pace.REALTIME.value)
     others = [pace.value for pace in Pace if where_equal(frame, "input.pace", pace.value)[~timed].any()]
@@ -266,7 +284,7 @@ def late_notes(frame: Frame, metrics: Iterable[str]) -> list[str]:
     if not count:
         return []
     late = frame.column("lateSeconds").floats()
-    runs = "" if len(frame) == 1 else " in 1 run" if count == 1 else f" in {count} runs"
+    runs = "" if len(frame) == 1 else f" in {plural(count, 'run')}"
     return [late_words(float(np.nanmax(late)), runs)]
 
 
@@ -333,7 +351,7 @@ def chosen_notes(frame: Frame) -> list[str]:
     if column.is_empty:
         return []
     count, rest = frame.count_runs(column.present), frame.count_runs()
-    share = "all runs were" if count == rest else f"{_runs_text(count)} of {rest:,} were"
+    share = "all runs were" if count == rest else f"{plural(count, 'run')} of {rest:,} were"
     return [f"{CHOSEN} {share} chosen by a search for its results ({_methods(frame)}): no fair sample"]
 
 
@@ -347,7 +365,7 @@ def origin_notes(frame: Frame) -> list[str]:
     for keys, rows in zip(groups.keys, groups.members(), strict=True):
         mine = foreign.select(rows)
         words = mine.column(ORIGIN).factorized()[1]
-        runs = _runs_text(mine.count_runs())
+        runs = plural(mine.count_runs(), "run")
         word = " and ".join(sorted({str(one).partition(" (")[0] for one in words}))
         told.append(f"{keys['algorithm']}: {word} ({runs} from {keys['origin.source']})")
     return _first(told)
@@ -367,12 +385,8 @@ def without_chosen(frame: Frame) -> tuple[Frame, list[str]]:
         return frame, chosen_notes(frame)
     count = frame.count_runs(chosen)
     verb = "is" if count == 1 else "are"
-    told = f"{_runs_text(count)} that a search chose by results ({_methods(frame)}) {verb} left out"
+    told = f"{plural(count, 'run')} that a search chose by results ({_methods(frame)}) {verb} left out"
     return frame.select(~chosen), [told]
-
-
-def _runs_text(count: int) -> str:
-    return "1 run" if count == 1 else f"{count:,} runs"
 
 
 def _methods(frame: Frame) -> str:

@@ -297,7 +297,13 @@ _TABLE = (
     Measure("lateSeconds", "poses late by up to", "s", _LOWER),
     Measure("trajectory.poses", "poses"),
     Measure("trajectory.durationSeconds", "duration of the trajectory", "s"),
+    Measure("provenance.node", "node"),
     Measure("provenance.cpuModel", "processor"),
+    Measure("provenance.machine.cores", "cores of the machine"),
+    Measure("provenance.machine.smt", "SMT"),
+    Measure("provenance.machine.governor", "governor"),
+    Measure("provenance.machine.turbo", "turbo"),
+    Measure("provenance.machine.exclusiveCores", "exclusive cores"),
 )
 _BY_NAME = {measure.name: measure for measure in _TABLE}
 

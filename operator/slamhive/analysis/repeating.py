@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,8 @@ from slamhive.analysis.grouping import (
 from slamhive.analysis.measures import follows_trajectory
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from slamhive.analysis.cells import Cell
     from slamhive.analysis.columns import Floats
     from slamhive.analysis.frame import Frame
@@ -100,6 +103,25 @@ def repeatability(frame: Frame, metric: str = "ate.rmse") -> tuple[list[Repetiti
         repetitions.append(Repetitions(cell, distinct, tuple(values.tolist()), spread))
     repetitions.sort(key=lambda one: -one.cell.runs)
     return repetitions, notes
+
+
+def spread_within(repetitions: Sequence[Repetitions], names: Sequence[str]) -> dict[tuple[str, ...], float]:
+    """Return the standard deviation of repetitions of a setting, over all settings of a group.
+
+    Args:
+        repetitions: of `repeatability`.
+        names: keys that tell groups apart.
+    """
+    squares: dict[tuple[str, ...], list[tuple[float, int]]] = {}
+    for one in repetitions:
+        if len(one.figures) > 1:
+            key = tuple(str(one.cell.keys.get(name)) for name in names)
+            freedom = len(one.figures) - 1
+            squares.setdefault(key, []).append((float(np.var(one.figures, ddof=1)) * freedom, freedom))
+    return {
+        key: math.sqrt(sum(square for square, _ in found) / sum(freedom for _, freedom in found))
+        for key, found in squares.items()
+    }
 
 
 @dataclass(frozen=True)

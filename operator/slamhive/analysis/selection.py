@@ -11,6 +11,7 @@ import numpy as np
 from slamhive.analysis.columns import Column, ColumnKind, count_distinct
 from slamhive.analysis.expressions import parse_where
 from slamhive.analysis.grouping import where_equal
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.results import Phase, Reason
 
@@ -119,26 +120,26 @@ def meeting(frame: Frame, node: Node | None, *, superseded: bool = False, each: 
     old = frame.count_runs(left_out)
     notes = []
     if old:
-        notes.append(f"{_counted(old)} of earlier versions left out ({_why(frame, left_out)})")
+        notes.append(f"{plural(old, 'run')} of earlier versions left out ({_why(frame, left_out)})")
     if node is not None or left_out.any():
         frame = frame.select(inside)
     again = 0
     if not each:
         unfinished = frame.column("phase").among(_UNFINISHED)
         if unfinished.any():
-            notes.append(f"{_counted(frame.count_runs(unfinished))} not finished yet")
+            notes.append(f"{plural(frame.count_runs(unfinished), 'run')} not finished yet")
             frame = frame.select(~unfinished)
         kept = once(frame)
         again = frame.count_runs(~kept)
         if again:
             repeat = "repeats" if again == 1 else "repeat"
-            notes.append(f"{_counted(again)} {repeat} the content of others: equal content counts once")
+            notes.append(f"{plural(again, 'run')} {repeat} the content of others: equal content counts once")
             frame = frame.select(kept)
     if not len(frame) and old:
         are = "is" if old == 1 else "are"
         why = _why_alone(notes[0])
         notes = [
-            f"all {_counted(old)} selected {are} of earlier versions ({why}): ask for superseded results"
+            f"all {plural(old, 'run')} selected {are} of earlier versions ({why}): ask for superseded results"
         ]
     return Chosen(frame, (*notes, *_outdated_notes(frame)), old, again)
 
@@ -170,10 +171,6 @@ def _outdated_notes(frame: Frame) -> list[str]:
 
 def _why_alone(note: str) -> str:
     return note.partition("(")[2].rstrip(")")
-
-
-def _counted(count: int) -> str:
-    return "1 run" if count == 1 else f"{count:,} runs"
 
 
 def _why(frame: Frame, mask: Mask) -> str:

@@ -21,6 +21,7 @@ from slamhive.analysis.cells import different
 from slamhive.analysis.comparing import LEVEL, signed_differences
 from slamhive.analysis.derived import ALGORITHM_CHANGED, DATASET_CHANGED
 from slamhive.analysis.grouping import (
+    CONDITIONS,
     LOAD,
     SUBJECT,
     Groups,
@@ -68,7 +69,7 @@ _VERSIONS = {"algorithm": "algorithm.version", "dataset": "dataset.version"}
 _REASONS = {"algorithm": ALGORITHM_CHANGED, "dataset": DATASET_CHANGED}
 _RECORDED = (
     *("provenance.algorithmHash", "provenance.environment", "provenance.imageID"),
-    *("provenance.datasetSha256", "provenance.preparation", "provenance.cpuModel"),
+    *("provenance.datasetSha256", "provenance.preparation", *CONDITIONS),
     "provenance.slamhiveVersion",
 )
 _MOST_EXACT = 20_000

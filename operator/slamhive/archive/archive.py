@@ -569,6 +569,27 @@ class Archive:
         with reading(self._engine) as connection:
             return float(connection.execute(query).scalar() or 0.0)
 
+    @patient
+    def namespace_cpu_seconds(
+        self, namespace: str, cluster: str | None, without: Iterable[str] = ()
+    ) -> float:
+        """Return the CPU time of a namespace's finished runs in s, those left out that took over a result.
+
+        Args:
+            namespace: the namespace.
+            cluster: what tells its cluster from others; None: where that could not be seen.
+            without: UIDs of runs to leave out, at most some thousands.
+        """
+        runs = schema.runs.c
+        query = select(func.sum(runs.cpu_seconds)).where(
+            runs.namespace == namespace,
+            runs.cluster.is_not_distinct_from(cluster),
+            runs.reused_from.is_(None),
+            runs.uid.not_in(list(without)),
+        )
+        with reading(self._engine) as connection:
+            return float(connection.execute(query).scalar() or 0.0)
+
     def totals(self, sweep_uid: str, without: Iterable[str] = ()) -> Totals:
         """Return sums over the finished runs of a sweep.
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 
 from pydantic import Field
@@ -76,7 +77,7 @@ class CatalogEntry(Model):
             spec=resource.spec.model_dump(mode="json", by_alias=True),
         )
 
-    @property
+    @cached_property
     def content_hash(self) -> str:
         """Return the hash that tells this entry from others of its name."""
         return digest(clean([self.labels, self.attributes, self.spec]))

@@ -8,6 +8,7 @@ truth, where own runs have theirs, with the address and the checksum of where th
 from __future__ import annotations
 
 import re
+import shutil
 import tempfile
 from dataclasses import dataclass, field
 from functools import partial
@@ -226,7 +227,7 @@ class _TrajectoryTaking:
         with tempfile.TemporaryDirectory(prefix="slamhive-import-") as folder:
             aside = Path(folder) / FILE
             write_tum(aside, trajectory)
-            place_files(self._bench.home, Path(record.folder or ""), {FILE: aside})
+            place_files(self._bench.home, Path(record.folder or ""), partial(shutil.copy, aside))
             info = TrajectoryInfo(
                 poses=len(trajectory),
                 duration_seconds=float(trajectory.stamps[-1] - trajectory.stamps[0]),

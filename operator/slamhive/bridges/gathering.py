@@ -37,7 +37,8 @@ _TAGS = (
         "dataset.version",
         "provenance.contentHash",
     ),
-    *("provenance.cpuModel", "provenance.slamhiveVersion", "provenance.reusedFrom", "usage.memory.kind"),
+    *("provenance.cpuModel", "provenance.machine.governor"),
+    *("provenance.slamhiveVersion", "provenance.reusedFrom", "usage.memory.kind"),
 )
 _OF_EVALUATION = ("evaluation", "alignment", "outcome")
 _NO_FIGURES = (

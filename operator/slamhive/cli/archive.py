@@ -11,10 +11,11 @@ import typer
 from slamhive.archive import Archive, keeping
 from slamhive.archive.connection import shown
 from slamhive.archive.upgrading import upgrade
-from slamhive.cli.parts.console import bytes_text, complain, open_archive, out, plural, remark
+from slamhive.cli.parts.console import bytes_text, complain, open_archive, out, remark
 from slamhive.cli.parts.exits import FAILED
 from slamhive.cli.parts.waiting import Work
 from slamhive.local.home.folder import Home
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slamhive.cli.parts.console import bytes_text, out, plural, remark
+from slamhive.cli.parts.console import bytes_text, out, remark
 from slamhive.cli.parts.tables import show
+from slamhive.model.base import plural
 from slamhive.model.sensors import ROLES, SensorMode
 
 if TYPE_CHECKING:

@@ -17,9 +17,10 @@ from slamhive.analysis.grouping import LOAD, where_equal
 from slamhive.analysis.metrics import Metric
 from slamhive.analysis.selection import Selection, choose
 from slamhive.cli.parts import tables
-from slamhive.cli.parts.console import emit, listing, out, plural, remark, speaks_json
+from slamhive.cli.parts.console import emit, listing, out, remark, speaks_json
 from slamhive.cli.results import TABLE_METRICS, usual_columns
 from slamhive.local.running.outlook import moment_text
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError
 from slamhive.tables.reading import read_archive
 from slamhive.tables.text import key_text

@@ -16,7 +16,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from slamhive.cli import catalogue
-from slamhive.cli.parts.console import bytes_text, complain, listing, open_workbench, out, plural, remark
+from slamhive.cli.parts.console import bytes_text, complain, listing, open_workbench, out, remark
 from slamhive.cli.parts.exits import FAILED, INTERRUPTED
 from slamhive.cli.parts.listing import show_catalog
 from slamhive.cli.parts.showing import show
@@ -24,7 +24,7 @@ from slamhive.cli.parts.waiting import Work
 from slamhive.cli.unlisting import remove_dataset, rename
 from slamhive.local.home.catalog import editor_line, load_workshop
 from slamhive.local.home.folder import Home
-from slamhive.model.base import explain, plain_name, require_name
+from slamhive.model.base import explain, plain_name, plural, require_name
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.formats import DataFormat, holds, misfit

@@ -25,7 +25,7 @@ from slamhive.figures.searches import search
 from slamhive.figures.styles import Face
 from slamhive.figures.widths import WIDTHS, parse_height, parse_width
 from slamhive.local.home.folder import Home
-from slamhive.model.base import Choice
+from slamhive.model.base import Choice, plural
 from slamhive.model.errors import InputError
 from slamhive.reporting.papertables import Statistic
 from slamhive.tables.homes import homes_beside
@@ -166,6 +166,6 @@ def _write(made: Picture, path: Path, paper: Paper, data: str, notes: Sequence[s
     leave_out_documents()
     command = shlex.join(["slamhive", *sys.argv[1:]])
     save(made, path, paper, command=command, revision=data, caption=caption)
-    runs = "1 run" if made.runs == 1 else f"{made.runs:,} runs"
+    runs = plural(made.runs, "run")
     remark(f"{path}: {paper.width.millimetres:g} mm wide, of {runs}; numbers in {numbers_file(path)}")
     remark(caption)

@@ -12,7 +12,7 @@ from slamhive.analysis.design import Nearness, Quantity
 from slamhive.analysis.predicting import COVERED
 from slamhive.archive import Archive
 from slamhive.cli.parts import tables
-from slamhive.cli.parts.console import bytes_text, command_name, listing, out, plural
+from slamhive.cli.parts.console import bytes_text, command_name, listing, out
 from slamhive.cli.parts.searches import extent_text
 from slamhive.cli.parts.waiting import time_text
 from slamhive.local.programs.cores import cores_here
@@ -22,6 +22,7 @@ from slamhive.local.running.likely import likely_runs
 from slamhive.local.running.outlook import MOST_LOOKED_UP, Looking, Outlook, RunStanding
 from slamhive.local.running.runner import run_uid
 from slamhive.local.running.workbench import Workbench
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError, SlamHiveError, sentence
 from slamhive.monitor.measuring.machine import cpu_model
 from slamhive.plan import SearchPlan, local_uid

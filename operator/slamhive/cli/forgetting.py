@@ -15,11 +15,11 @@ from slamhive.analysis.frame import DERIVED
 from slamhive.analysis.grouping import where_equal
 from slamhive.analysis.selection import Selection, choose, first_rows
 from slamhive.cli.parts.asking import DryRun, Yes, agreed, progress, require_archive
-from slamhive.cli.parts.console import bytes_text, open_archive, out, plural, remark
+from slamhive.cli.parts.console import bytes_text, open_archive, out, remark
 from slamhive.cli.parts.tables import show
 from slamhive.local.home.folder import Home
 from slamhive.local.housekeeping.forgetting import ArchivedRun, alone, forget, plan_forgetting
-from slamhive.model.base import quantity
+from slamhive.model.base import plural, quantity
 from slamhive.model.errors import InputError
 from slamhive.model.results import Phase
 from slamhive.tables.reading import read_table

@@ -14,10 +14,11 @@ import typer
 from slamhive.archive import Archive
 from slamhive.archive.connection import shown
 from slamhive.cli.parts.asking import DryRun, Yes, agreed, progress, require_archive
-from slamhive.cli.parts.console import bytes_text, open_archive, out, plural, remark
+from slamhive.cli.parts.console import bytes_text, open_archive, out, remark
 from slamhive.cli.parts.tables import show, write_json
 from slamhive.local.home.extent import total
 from slamhive.local.home.folder import Home
+from slamhive.model.base import plural
 from slamhive.model.errors import SystemFault
 
 if TYPE_CHECKING:

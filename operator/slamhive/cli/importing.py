@@ -14,12 +14,13 @@ from typer.core import TyperGroup
 from slamhive.analysis.measuring import Subject, intended_evaluations, measure, method
 from slamhive.archive import CatalogEntry, SweepRecord
 from slamhive.bridges import slamhive1
-from slamhive.cli.parts.console import complain, open_archive, out, plural
+from slamhive.cli.parts.console import complain, open_archive, out
 from slamhive.cli.parts.exits import FAILED
 from slamhive.cli.parts.waiting import Work
 from slamhive.cli.sharing.taking import import_bundle, import_trajectories
 from slamhive.data.store.truthfolders import GroundTruthFolder
 from slamhive.local.home.folder import Home
+from slamhive.model.base import plural
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.evaluation import Alignment, EvaluationSettings
 from slamhive.model.results import IntendedEvaluation, Phase, Reason, RunRecord, TrajectoryInfo

@@ -15,11 +15,12 @@ from slamhive.analysis.metrics import Metric
 from slamhive.analysis.selection import Selection
 from slamhive.cli.parts.asking import require_archive
 from slamhive.cli.parts.choosing import Also, Superseded, Where, choose_runs
-from slamhive.cli.parts.console import listing, open_archive, out, plural, remark
+from slamhive.cli.parts.console import listing, open_archive, out, remark
 from slamhive.cli.parts.tables import show, write_json
 from slamhive.local.home.changes import current_uid
 from slamhive.local.home.folder import Home
 from slamhive.local.home.removed import absence
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.tables.homes import COLUMN, OWN, homes_beside, uid_in
 from slamhive.tables.text import value_text

@@ -14,7 +14,7 @@ from slamhive.archive import Archive
 from slamhive.cli.parts import searches, tables
 from slamhive.cli.parts.checked import check_files
 from slamhive.cli.parts.choosing import Also
-from slamhive.cli.parts.console import bytes_text, out, plural, remark, warn
+from slamhive.cli.parts.console import bytes_text, out, remark, warn
 from slamhive.cli.parts.sizes import apply_refused, size_refused
 from slamhive.local.home.catalog import load_workshop
 from slamhive.local.home.extent import DiskTally
@@ -23,6 +23,7 @@ from slamhive.local.running.impossible import impossible_runs
 from slamhive.local.running.outlook import Looking, sentences
 from slamhive.local.running.runner import Job
 from slamhive.local.running.workbench import Workbench
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError, SlamHiveError, sentence
 from slamhive.model.run import MappingRun
 from slamhive.model.sweep import Sweep

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slamhive.cli.parts.console import out, plural, remark
+from slamhive.cli.parts.console import out, remark
 from slamhive.cli.parts.tables import show
 from slamhive.local.home.folder import Home
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError, SystemFault
 from slamhive.tables.published import BUNDLED, FOLDER, check_names, published_files, read_published, table_of
 

@@ -25,8 +25,9 @@ from slamhive.bridges.targets import BridgeTarget
 from slamhive.cli.forgetting import prune
 from slamhive.cli.onerun import note_runs, show_run
 from slamhive.cli.parts.choosing import Also, EvaluationName, Output, Superseded, Where, choose_runs
-from slamhive.cli.parts.console import complain, listing, open_workbench, out, plural, remark
+from slamhive.cli.parts.console import complain, listing, open_workbench, out, remark
 from slamhive.cli.parts.exits import FAILED
+from slamhive.cli.parts.nodes import show_nodes
 from slamhive.cli.parts.robustness import show_robustness
 from slamhive.cli.parts.tables import PrintFormat, show, show_columns, write_json, write_markdown
 from slamhive.cli.parts.waiting import Work
@@ -34,6 +35,7 @@ from slamhive.cli.suspecting import show_suspects
 from slamhive.contract.lines import printable
 from slamhive.data.files.outputs import output_whole
 from slamhive.local.home.folder import Home
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.tables.homes import COLUMN, homes_beside, read_homes
 from slamhive.tables.queries import split_names
@@ -371,6 +373,7 @@ def measure(
 
 
 app.command("suspects")(show_suspects)
+app.command("nodes")(show_nodes)
 app.command("robustness")(show_robustness)
 app.command("prune")(prune)
 

@@ -29,7 +29,6 @@ from slamhive.cli.parts.console import (
     err,
     open_workbench,
     out,
-    plural,
     remark,
     speak_json,
     speaks_json,
@@ -51,7 +50,7 @@ from slamhive.local.running.choosing import RunChoice, ask
 from slamhive.local.running.evaluations import bring_up_to_date, evaluate_again
 from slamhive.local.running.runner import Job, Runner
 from slamhive.local.running.workbench import Workbench
-from slamhive.model.base import Choice
+from slamhive.model.base import Choice, plural
 from slamhive.model.errors import InputError
 from slamhive.model.evaluation import Evaluation
 from slamhive.model.sweep import Sweep

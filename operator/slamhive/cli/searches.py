@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slamhive.cli.parts.asking import require_archive
-from slamhive.cli.parts.console import out, plural, remark
+from slamhive.cli.parts.console import out, remark
 from slamhive.cli.parts.tables import show, write_json
 from slamhive.cli.parts.waiting import time_text
 from slamhive.local.home.catalog import load_workshop
 from slamhive.local.home.folder import Home
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError
 from slamhive.model.search import Goal, SearchMethod
 

@@ -11,10 +11,11 @@ import typer
 
 from slamhive.analysis.selection import Selection
 from slamhive.cli.parts.choosing import Sweeps, Where, choose_runs
-from slamhive.cli.parts.console import open_workbench, out, plural, remark
+from slamhive.cli.parts.console import open_workbench, out, remark
 from slamhive.cli.parts.tables import show, write_json
 from slamhive.cli.parts.waiting import Work
 from slamhive.local.home.folder import Home
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError
 from slamhive.reporting.submission import (
     Challenge,

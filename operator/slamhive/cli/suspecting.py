@@ -12,10 +12,11 @@ from rich.table import Table
 
 from slamhive.analysis.selection import Selection
 from slamhive.cli.parts.choosing import EvaluationName, Where, choose_runs
-from slamhive.cli.parts.console import out, plural, remark
+from slamhive.cli.parts.console import out, remark
 from slamhive.cli.parts.tables import write_json
 from slamhive.cli.parts.waiting import Work
 from slamhive.local.home.folder import Home
+from slamhive.model.base import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -14,13 +14,14 @@ from slamhive.analysis.frame import Frame
 from slamhive.analysis.grouping import where_equal
 from slamhive.cli.forgetting import known_runs, prune_chosen, uids_of
 from slamhive.cli.parts.asking import DryRun, Yes, require_archive
-from slamhive.cli.parts.console import bytes_text, open_archive, out, plural, remark
+from slamhive.cli.parts.console import bytes_text, open_archive, out, remark
 from slamhive.cli.parts.tables import show, write_json
 from slamhive.local.home.extent import DiskTally
 from slamhive.local.home.folder import Home
 from slamhive.local.home.removed import run_parts
 from slamhive.local.home.sweeping import named_sweeps, rename_sweep, sweeps_meant
 from slamhive.local.housekeeping.forgetting import alone
+from slamhive.model.base import plural
 from slamhive.model.results import Phase
 from slamhive.tables.reading import read_table
 

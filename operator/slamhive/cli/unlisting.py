@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slamhive.cli.parts.asking import DryRun, Yes, agreed, progress
-from slamhive.cli.parts.console import bytes_text, open_archive, out, plural, remark
+from slamhive.cli.parts.console import bytes_text, open_archive, out, remark
 from slamhive.local.home.folder import Home
+from slamhive.model.base import plural
 
 if TYPE_CHECKING:
     from slamhive.local.housekeeping.unlisting import Listed

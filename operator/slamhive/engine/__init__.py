@@ -8,7 +8,7 @@ the actions that lead on. The workstation's runner and the operator drive the sa
 """
 
 from slamhive.engine.deciding import NextSteps, decide
-from slamhive.engine.reuse import taken_over
+from slamhive.engine.reuse import LoadConditions, taken_over
 from slamhive.engine.run import (
     AttemptEnd,
     AttemptState,
@@ -35,6 +35,16 @@ from slamhive.engine.searching import (
     best_of,
     decide_search,
 )
+from slamhive.engine.sharing import (
+    Contender,
+    Division,
+    NamespaceRule,
+    Outlook,
+    Turns,
+    Work,
+    divide,
+    foresee,
+)
 from slamhive.engine.sweep import (
     PointState,
     StartPoints,
@@ -49,10 +59,15 @@ from slamhive.engine.threshold import ValueTally, decide_threshold, tallies
 __all__ = [
     "AttemptEnd",
     "AttemptState",
+    "Contender",
     "Decision",
+    "Division",
     "Evaluate",
     "Finish",
+    "LoadConditions",
+    "NamespaceRule",
     "NextSteps",
+    "Outlook",
     "PointState",
     "Prepare",
     "RunAction",
@@ -69,9 +84,11 @@ __all__ = [
     "SweepDecision",
     "SweepObserved",
     "TrialStanding",
+    "Turns",
     "ValueTally",
     "VariantState",
     "Verdict",
+    "Work",
     "asked_next",
     "best_of",
     "classify",
@@ -80,6 +97,8 @@ __all__ = [
     "decide_search",
     "decide_sweep",
     "decide_threshold",
+    "divide",
+    "foresee",
     "taken_over",
     "tallies",
 ]

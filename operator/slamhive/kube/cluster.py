@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.kube.api.errors import Conflict, NotFound
 from slamhive.kube.api.kinds import MANAGER, Key, Kind, Label, Object, key_of, labels_of
+from slamhive.kube.kueue import Workloads
 from slamhive.kube.metrics import Metrics
 from slamhive.kube.metricsapi import ENDED, MetricsReader
 from slamhive.kube.pods import has_ended
 from slamhive.kube.queue import Queue
 from slamhive.kube.refused_pods import RefusedPods
 from slamhive.kube.routing import is_news, routes
-from slamhive.kube.status import status_patch
+from slamhive.kube.status import patched, status_patch
 from slamhive.kube.store import Store
 from slamhive.model.status import Status
 
@@ -57,6 +58,7 @@ class Cluster:
         metrics: what Prometheus gets.
         usage: figures of the metrics API.
         refused_pods: why Jobs have no pods.
+        workloads: what suspended Jobs wait for.
         failing: what keeps objects from going on, in a sentence, whether or not it could be written there.
     """
 
@@ -70,6 +72,7 @@ class Cluster:
         self.metrics = Metrics(run_name_label=settings.metrics.run_name_label)
         self.usage = MetricsReader(api, self.store, self.metrics, settings.namespaces)
         self.refused_pods = RefusedPods(api, clock)
+        self.workloads = Workloads(api, clock)
         self.failing: dict[Key, str] = {}
         self._creating: list[tuple[Kind, str | None, Object]] = []
         self._podless: dict[str, str] = {}
@@ -191,7 +194,7 @@ class Cluster:
         return self.apply(key.kind, answer)
 
     async def patch_seen(
-        self, kind: Kind, seen: Object, body: Object, *, subresource: str | None = None
+        self, kind: Kind, seen: Object, body: Object, *, subresource: str | None = None, untold: bool = False
     ) -> Object:
         """Patch the very version of an object that was looked at.
 
@@ -203,13 +206,24 @@ class Cluster:
             seen: the object as it was read.
             body: the merge patch.
             subresource: as ``Api.patch`` takes it.
+            untold: whether its status is written in the store alone, now and from now on: for what nobody
+                reads at the object, as it is archived and deleted at once.
 
         Raises:
             Conflict: it has changed since.
             NotFound: it is gone.
         """
+        if subresource == "status" and (untold or self.store.is_untold(seen)):
+            return self._write_untold(kind, seen, body["status"])
         metadata = {**body.get("metadata", {}), "resourceVersion": seen["metadata"]["resourceVersion"]}
         return await self.patch(key_of(kind, seen), {**body, "metadata": metadata}, subresource=subresource)
+
+    def _write_untold(self, kind: Kind, seen: Object, patch: Object) -> Object:
+        kept = self.store.keep_untold(kind, seen, patched(seen.get("status") or {}, patch))
+        if kept is None:
+            raise Conflict(f"{key_of(kind, seen)} has changed since it was looked at", status=409)
+        self._enqueue(routes(kind, kept, self.store))
+        return kept
 
     async def write_status(
         self,
@@ -217,6 +231,8 @@ class Cluster:
         seen: Object,
         status: Status | Object | None = None,
         conditions: Iterable[Object] = (),
+        *,
+        untold: bool = False,
     ) -> Object | None:
         """Write what is new of an object's status, in one patch with its conditions.
 
@@ -226,6 +242,7 @@ class Cluster:
             status: the fields that are given in it are written; those that are None are removed. Long lists
                 of which hardly anything is new are given as the API holds them.
             conditions: as ``condition`` makes them.
+            untold: as ``patch_seen`` takes it.
 
         Returns:
             The object as it is then; None where nothing was new.
@@ -234,7 +251,7 @@ class Cluster:
         patch = status_patch(seen, fields, conditions, self.clock())
         if not patch:
             return None
-        return await self.patch_seen(kind, seen, {"status": patch}, subresource="status")
+        return await self.patch_seen(kind, seen, {"status": patch}, subresource="status", untold=untold)
 
     async def amend(
         self,

@@ -22,6 +22,7 @@ from slamhive.kube.builders.evaluation import EVALUATE, EVALUATOR, LINKS, READ, 
 from slamhive.kube.builders.restoring import RESTORE
 from slamhive.kube.builders.run import ALGORITHM, MONITOR, RENDER
 from slamhive.kube.builders.variant import PREPARE, PROGRAM, SHOW
+from slamhive.kube.kueue import held_back, is_suspended, taken, was_taken
 from slamhive.kube.pods import (
     NO_CONTAINER_CONFIG,
     Ending,
@@ -94,7 +95,8 @@ class Attempted:
             what is left is to be read and given to `with_report`; ``end`` is what stands if nothing is found.
         ending: how the algorithm's container ended.
         told: what the kubelet made of its entire pod, if anything.
-        disrupted: UIDs of its pods that are taken, or were, by no fault of theirs, the oldest first.
+        disrupted: UIDs of its pods that are taken, or were, by no fault of theirs, oldest first, and stay.
+        put_off: UIDs of its pods that go, or went, because its Job was suspended, and don't stay.
         pod: name of its pod.
         pod_uid: identity of its pod, by which its folder is named.
         node: the node it ran on.
@@ -113,6 +115,7 @@ class Attempted:
     ending: Ending | None = None
     told: AttemptEnd | None = None
     disrupted: tuple[str, ...] = ()
+    put_off: tuple[str, ...] = ()
     pod: str | None = None
     pod_uid: str | None = None
     node: str | None = None
@@ -153,7 +156,11 @@ class Attempted:
 
 
 def observe_attempt(
-    job: Object | None, pods: Iterable[Object], *, was_interrupted: bool = False
+    job: Object | None,
+    pods: Iterable[Object],
+    *,
+    was_interrupted: bool = False,
+    at_work_since: float | None = None,
 ) -> Attempted:
     """Say what is seen of an attempt.
 
@@ -161,15 +168,21 @@ def observe_attempt(
         job: its Job; None when that is gone.
         pods: its pods.
         was_interrupted: whether a pod of it was seen being taken away while its program ran.
+        at_work_since: since when its program runs as far as is known, s since 1970.
     """
     pods = [*pods]
     pod = newest(job, pods)
+    gone = taken(job, pods, at_work_since)
     if pod is None:
-        return Attempted() if job is None else _without_pod(job, was_interrupted=was_interrupted)
-    seen = replace(_seen(job, pod), disrupted=disrupted(pods))
+        if job is None:
+            return Attempted()
+        return replace(_without_pod(job, was_interrupted=was_interrupted), put_off=gone)
+    seen = replace(_seen(job, pod), disrupted=disrupted(pods), put_off=gone)
+    if is_finished(pod) and was_taken(job, pod):
+        return _taken(seen, job, pod)
     if not is_finished(pod):
         going = is_deleted(pod) and seen.ending is None
-        return replace(seen, waiting=_going(pod) if going else what_waits(pod, ALGORITHM))
+        return replace(seen, waiting=_going(job, pod) if going else what_waits(pod, ALGORITHM))
     if is_disrupted(pod) or is_deleted(pod):
         ended_before = pod["status"]["phase"] == "Succeeded" and not was_interrupted
         if not ended_before or _was_asked_to_end(pod, seen.ending):
@@ -198,11 +211,9 @@ def _without_pod(job: Object, *, was_interrupted: bool) -> Attempted:
         # A Job is complete when all containers of its pod ended with exit code 0.
         return replace(seen, silence=_GONE, ending=_WELL if has_completed(job) else None)
     begun = (job.get("status") or {}).get("startTime") or job["metadata"].get("creationTimestamp")
-    # Queues such as Kueue hold a Job back this way, for as long as they choose.
-    if (job.get("spec") or {}).get("suspend"):
-        waiting = Waiting("Suspended", "its Job waits in a queue", moment(begun))
-    else:
-        waiting = Waiting(NO_POD, "its Job has no pod yet", moment(begun))
+    waiting = Waiting(NO_POD, "its Job has no pod yet", moment(begun))
+    if is_suspended(job):
+        waiting = held_back(job)
     return Attempted(AttemptState.RUNNING, number=number, waiting=waiting)
 
 
@@ -225,10 +236,11 @@ def _seen(job: Object | None, pod: Object) -> Attempted:
     )
 
 
-def _going(pod: Object) -> Waiting:
+def _going(job: Object | None, pod: Object) -> Waiting:
     """Return the wait of a pod that is to go: for its containers' end, or its node's word about it."""
     told = (condition(pod, "DisruptionTarget") or {}).get("message")
-    return Waiting(TERMINATING, clean(f"its pod is being taken away: {told or 'it was deleted'}"))
+    why = "its Job was suspended" if was_taken(job, pod) else "it was deleted"
+    return Waiting(TERMINATING, clean(f"its pod is being taken away: {told or why}"))
 
 
 def _was_asked_to_end(pod: Object, ending: Ending | None) -> bool:
@@ -250,7 +262,8 @@ def _taken(seen: Attempted, job: Object | None, pod: Object) -> Attempted:
         end = AttemptEnd(reason=Reason.NODE_LOST, message=message)
         return replace(seen, state=AttemptState.ENDED, end=end, report=None)
     # Nothing that it reported counts: its Job makes another pod, which begins anew.
-    return replace(seen, waiting=Waiting(DISRUPTED, message), report=None)
+    waiting = held_back(job) if job is not None and is_suspended(job) else Waiting(DISRUPTED, message)
+    return replace(seen, waiting=waiting, report=None)
 
 
 def _ended(seen: Attempted, pod: Object) -> Attempted:
@@ -525,8 +538,9 @@ def observe_job(job: Object | None, pods: Iterable[Object]) -> JobObserved:
         return JobObserved(seen.state, lost, seen.waiting)
     main = next((name for name in _MAIN if container_of(pod, name)), _MAIN[0])
     base = JobObserved(AttemptState.RUNNING, pod=pod["metadata"]["name"], container=main)
-    if not is_finished(pod):
-        return replace(base, waiting=what_waits(pod, main))
+    if was_taken(job, pod) or not is_finished(pod):
+        held = is_deleted(pod) and is_suspended(job)
+        return replace(base, waiting=held_back(job) if held else what_waits(pod, main))
     if is_disrupted(pod) or (is_deleted(pod) and pod["status"]["phase"] != "Succeeded"):
         if not has_failed(job):
             return base

@@ -25,7 +25,7 @@ from pydantic import ValidationError
 from slamhive.contract.lines import telling_line
 from slamhive.contract.metrics import LARGEST_INTEGER, keep_values
 from slamhive.model.base import Model
-from slamhive.model.results import Frames, Reason, TrajectoryInfo, Usage
+from slamhive.model.results import Frames, Machine, Reason, TrajectoryInfo, Usage
 from slamhive.model.variant import VariantDescription
 from slamhive.playback.outcome import Played
 
@@ -70,6 +70,7 @@ class Report:
         metrics_problem: what is wrong with metrics.json.
         frames: frames as the algorithm counted them.
         cpu_model: the processor.
+        machine: what else it told of the machine.
         pod: identity of the pod whose folder it was read in, where that was not known.
         played: how playing to it ended, for a ROS node.
         metrics: what the algorithm and its player say of themselves, latency for one.
@@ -86,6 +87,7 @@ class Report:
     metrics_problem: str | None = None
     frames: Frames | None = None
     cpu_model: str | None = None
+    machine: Machine | None = None
     pod: str | None = None
     played: Played | None = None
     metrics: dict[str, Any] = field(default_factory=dict)
@@ -169,6 +171,7 @@ def read_report(text: object) -> Report | None:
         metrics_problem=_text(found.get("metricsProblem")),
         frames=_model(Frames, found.get("frames")),
         cpu_model=_text(found.get("cpuModel"), 200),
+        machine=_model(Machine, found.get("machine")),
         pod=pod if isinstance(pod := found.get("pod"), str) and _POD.fullmatch(pod) else None,
         played=_played(found.get("played")),
         metrics=_metrics((_loaded(text) or {}).get("metrics")),

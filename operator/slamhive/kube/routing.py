@@ -153,11 +153,12 @@ def _of_run(run: Object, namespace: str, store: Store | None) -> Iterator[Key]:
         yield Key(Kind.SWEEP, namespace, sweep)
     if store is not None and is_finished(run):
         for evaluation in store.of(Kind.EVALUATION, namespace):
-            if _may_select(evaluation, run):
+            if may_select(evaluation, run):
                 yield Key(Kind.EVALUATION, namespace, evaluation["metadata"]["name"])
 
 
-def _may_select(evaluation: Object, run: Object) -> bool:
+def may_select(evaluation: Object, run: Object) -> bool:
+    """Tell whether an Evaluation chooses a run by its name, its Sweep or its labels."""
     chosen: Object = evaluation["spec"].get("runs") or {}
     labels = labels_of(run)
     if run["metadata"]["name"] in (chosen.get("names") or ()):

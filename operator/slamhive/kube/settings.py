@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import yaml
-from pydantic import Field, StringConstraints, ValidationError
+from pydantic import Field, StringConstraints, ValidationError, model_validator
 
 from slamhive.model.base import Choice, Duration, Model, Quantity, explain
 from slamhive.model.errors import InputError
+from slamhive.model.sweep import MOST_WEIGHT
 from slamhive.monitor.spec import OUTPUT_FILES, OUTPUT_LIMIT
 
 PassedLabel = Annotated[
@@ -118,6 +119,23 @@ class HealthSettings(Model):
     port: int = Field(default=8080, ge=0, le=65535)
 
 
+class NamespaceSharing(Model):
+    """Settings of a namespace's share: its weight, most runs in flight, and a budget of CPU hours."""
+
+    weight: int | None = Field(default=None, ge=1, le=MOST_WEIGHT)
+    slots: int | None = Field(default=None, ge=0)
+    cpu_hours: float | None = Field(default=None, ge=0)
+
+
+class SharingSettings(Model):
+    """Settings of how Sweeps share the cluster: slots over all namespaces, and what holds for one of them."""
+
+    slots: int | None = Field(default=None, ge=1)
+    namespaces: dict[NamespaceName, NamespaceSharing] = Field(default_factory=dict)
+    read_nodes: bool = False
+    read_priority_classes: bool = False
+
+
 class Settings(Model):
     """All settings; the chart's values.yaml documents each."""
 
@@ -141,6 +159,7 @@ class Settings(Model):
     variants_limit: Quantity = "100Gi"
     metrics: MetricsSettings = MetricsSettings()
     health: HealthSettings = HealthSettings()
+    sharing: SharingSettings = SharingSettings()
     sweep_write_seconds: float = Field(default=2.0, ge=0)
     relist_seconds: float = Field(default=600.0, gt=0)
     workers: int = Field(default=8, ge=1, le=256)
@@ -151,6 +170,16 @@ class Settings(Model):
     output_files: int = Field(default=OUTPUT_FILES, ge=1)
     log_format: LogFormat = LogFormat.PLAIN
     log_level: str = Field(default="INFO", pattern="^(DEBUG|INFO|WARNING|ERROR)$")
+
+    @model_validator(mode="after")
+    def _shared_among_namespaces(self) -> Self:
+        strange = [name for name in self.sharing.namespaces if name not in self.namespaces]
+        if strange:
+            raise ValueError(
+                f"sharing.namespaces: {strange[0]!r} is none of this operator's namespaces, "
+                f"these are: {', '.join(self.namespaces)}"
+            )
+        return self
 
     @property
     def measuring_image(self) -> str:

@@ -175,6 +175,18 @@ def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, An
     return patch
 
 
+def patched(before: Mapping[str, Any], patch: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a status after a merge patch, as the API server would make it."""
+    after = {key: value for key, value in before.items() if key not in patch}
+    for key, value in patch.items():
+        if isinstance(value, dict):
+            known = before.get(key)
+            after[key] = patched(known if isinstance(known, dict) else {}, value)
+        elif value is not None:
+            after[key] = value
+    return after
+
+
 def status_patch(
     seen: Mapping[str, Any], fields: Mapping[str, Any], conditions: Iterable[dict[str, Any]], now: float
 ) -> dict[str, Any]:

@@ -50,6 +50,7 @@ class Store:
         self._labelled: dict[_Index, dict[str, None]] = {}
         self._owned: dict[str, dict[Key, None]] = {}
         self._deleted: OrderedDict[str, None] = OrderedDict()
+        self._untold: dict[str, Object] = {}
 
     def __len__(self) -> int:
         """Return the number of objects."""
@@ -77,11 +78,36 @@ class Store:
         if is_older:
             return False
         kept = obj if narrowed else narrow(kind, obj)
+        if obj["metadata"].get("uid") in self._untold:
+            kept = kept | {"status": self._untold[obj["metadata"]["uid"]]}
         if present is not None:
             self._unlink(key, present)
         self._objects[kind, key.namespace][key.name] = kept
         self._link(key, kept)
         return True
+
+    def keep_untold(self, kind: Kind, seen: Object, status: Object) -> Object | None:
+        """Have an object a status that the API is not told of, in whatever version it comes from there.
+
+        Args:
+            kind: its kind.
+            seen: the object as it was read.
+            status: its whole status.
+
+        Returns:
+            The object with it; None where it is gone or has changed since.
+        """
+        key = key_of(kind, seen)
+        if self.get(key) is not seen:
+            return None
+        self._untold[seen["metadata"]["uid"]] = status
+        kept = seen | {"status": status}
+        self._objects[kind, key.namespace][key.name] = kept
+        return kept
+
+    def is_untold(self, obj: Object) -> bool:
+        """Tell whether an object's status is known here alone."""
+        return obj["metadata"].get("uid") in self._untold
 
     def remove(self, kind: Kind, namespace: str, name: str, uid: str | None = None) -> bool:
         """Take out an object that was deleted; returns whether it was here.
@@ -175,6 +201,7 @@ class Store:
         return changed
 
     def _remember_deletion(self, uid: str) -> None:
+        self._untold.pop(uid, None)
         if uid:
             self._deleted[uid] = None
             self._deleted.move_to_end(uid)

@@ -7,12 +7,22 @@ import re
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    ValidationError,
+)
 from pydantic.alias_generators import to_camel
 
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from pydantic_core import ErrorDetails
 
 GROUP = "slamhive.io"
@@ -33,6 +43,10 @@ QUANTITY_PATTERN = worded(
     r"^[0-9]+(\.[0-9]+)?(m|k|M|G|T|Ki|Mi|Gi|Ti)?$", "expected a quantity such as 2, 500m or 4Gi"
 )
 _NAME = worded(r"^[a-z0-9]([-a-z0-9.]*[a-z0-9])?$", "expected a name of lower-case letters, digits, - and .")
+QUEUE_NAME = "kueue.x-k8s.io/queue-name"
+"""Label of objects whose Jobs Kueue admits: the name of a LocalQueue."""
+PRIORITY_CLASS = "kueue.x-k8s.io/priority-class"
+"""Label by which Kueue knows what comes first: the name of a WorkloadPriorityClass."""
 _PART = r"[a-z0-9]+([._-]+[a-z0-9]+)*"
 # As registries have it: what an engine would take for an option or a file ("--all", "dir:/x") is no name.
 _IMAGE = worded(
@@ -135,8 +149,41 @@ def optional(description: str, **settings: Any) -> Any:
     return Field(default=None, description=description, **settings)
 
 
+def plural(count: int, noun: str) -> str:
+    """Return a count with its noun.
+
+    >>> plural(1, "run"), plural(3, "run")
+    ('1 run', '3 runs')
+    """
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"
+
+
 class Choice(StrEnum):
     """An enumeration of words; members print as the word itself."""
+
+
+def _with_a_queue(labels: dict[str, str]) -> dict[str, str]:
+    queue_of(labels)
+    return labels
+
+
+Labels = Annotated[dict[str, str], AfterValidator(_with_a_queue)]
+"""Labels whose queue, if they name one, has a name that a queue can have."""
+
+
+def queue_of(labels: Mapping[str, str]) -> str | None:
+    """Return the queue that labels name; None where they name none.
+
+    Raises:
+        ValueError: no queue can have this name, of which Kueue itself would say nothing.
+    """
+    name = labels.get(QUEUE_NAME)
+    if name and (len(name) > NAME_LIMIT or not re.match(_NAME, name)):
+        raise ValueError(
+            f"{QUEUE_NAME}: {_MEANINGS[_NAME]}, at most {NAME_LIMIT} characters, "
+            f"found {name!r}{proposal(name)}"
+        )
+    return name or None
 
 
 class ObjectMeta(Model):
@@ -147,7 +194,7 @@ class ObjectMeta(Model):
     name: Name = Field(max_length=NAME_LIMIT)
     namespace: str | None = None
     uid: str | None = None
-    labels: dict[str, str] = Field(default_factory=dict)
+    labels: Labels = Field(default_factory=dict)
     annotations: dict[str, str] = Field(default_factory=dict)
 
 

@@ -99,15 +99,15 @@ def sentence(error: Exception) -> str:
     return str(error)
 
 
-_MEANT = {"mode": "sensors"}
-"""Fields of manifests that commands and programs know by another name."""
+_MEANT = {"mode": ("sensors",), "exclusiveNodes": ("resources", "template")}
+"""Fields of manifests that commands and programs know by another name, or that are below one of these."""
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
     """End a sentence about an unknown name with the nearest known one, or with all of a short list."""
     names = sorted(known)
-    meant = _MEANT.get(name)
-    close = [meant] if meant in names else difflib.get_close_matches(name, names, n=1, cutoff=0.6)
+    meant = [field for field in _MEANT.get(name, ()) if field in names]
+    close = meant or difflib.get_close_matches(name, names, n=1, cutoff=0.6)
     if close:
         return f"; did you mean {close[0]!r}?"
     if not names:

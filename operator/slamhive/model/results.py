@@ -231,6 +231,19 @@ class Prepared(Model):
     )
 
 
+class Machine(Model):
+    """Machine of a run as far as its kernel told: what can't be read is absent."""
+
+    model_config = ConfigDict(extra="ignore")
+    cores: int | None = optional("Number of cores, threads of one core counted once.", ge=1)
+    smt: bool | None = optional("Whether cores run several threads at a time.")
+    governor: str | None = optional("Governor of the processors' clock; several, by commas.", max_length=200)
+    turbo: bool | None = optional("Whether the clock may go beyond the processor's base.")
+    exclusive_cores: bool | None = optional(
+        "Whether a kubelet's static CPU manager kept all other containers off the run's processors."
+    )
+
+
 class Provenance(Model):
     """Origin of a result: hashes, versions and machine, and input options that had no effect."""
 
@@ -247,6 +260,7 @@ class Provenance(Model):
     variant: str | None = optional("Name of the prepared form of the dataset.")
     node: str | None = optional("Machine that it ran on.")
     cpu_model: str | None = optional("Model of that machine's processor.")
+    machine: Machine | None = optional("What else is known of that machine.")
     slamhive_version: str | None = optional("Version of SLAM Hive that measured it.")
     reused_from: str | None = optional("Run whose result was taken, as all that decides it is equal.")
     asked: dict[str, Scalar] | None = optional(

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 from pydantic.alias_generators import to_camel
 
 from slamhive.model.algorithm import Pace
@@ -200,6 +200,14 @@ class Resources(Model):
     cpu: Quantity = Field(default="1", description="Processors; on a workstation whole cores.")
     memory: Quantity = Field(default="4Gi", description="Memory.")
     gpu: int | None = Field(default=None, ge=1, description="GPUs.")
+    exclusive_nodes: bool | None = optional(
+        "Whether no other run may be on its node; on a workstation: whether it runs alone."
+    )
+
+    @field_validator("exclusive_nodes")
+    @classmethod
+    def _only_what_is_asked_for(cls, value: bool | None) -> bool | None:
+        return value or None  # one hash for what is the same
 
 
 class MappingRunSpec(Model):

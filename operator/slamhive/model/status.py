@@ -186,8 +186,10 @@ class MappingRunStatus(Status):
     attempts: _Count | None = optional("Attempts made so far.")
     faults: _Count | None = optional("Faults of the machine that attempts met.")
     judged: _Count | None = optional("Number of the last attempt whose fault is counted.")
-    disruptions: _Count | None = optional("Pods that evictions, preemptions or lost nodes took.")
-    disrupted_pod: _Line | None = optional("UID of the last pod that is counted among them.")
+    disruptions: _Count | None = optional("Pods that evictions, preemptions, queues or lost nodes took.")
+    disrupted_pod: _Line | None = optional(
+        "UIDs of the last pods among them; of the Job, with the time, where nobody saw one go."
+    )
     not_before: _Time | None = optional("When another attempt may begin.")
     variant: _Line | None = optional("Prepared form of the dataset that it reads.")
     folder: _Path | None = optional("Its folder on the results volume.")
@@ -278,6 +280,21 @@ def trial_field(trial: Trial) -> dict[str, Any]:
     return {"values": trial.values, **told, **({"origin": trial.origin.value} if trial.is_known else {})}
 
 
+class SweepShare(_Item):
+    """Share of a Sweep in the slots of the cluster, its place in the line, and its forecast in words."""
+
+    fair: float | None = optional("Fair number of runs in flight.", ge=0)
+    of: _Count | None = optional("Slots that are shared, where their number is known.")
+    sweeps: _Count | None = optional("Sweeps that share them, this one too.")
+    namespaces: _Count | None = optional("Namespaces of these.")
+    place: _Count | None = optional("Place in the line for the next free slot, where it waits for one.")
+    begin: str | None = optional("When its first run is expected to begin.", max_length=64)
+    end: str | None = optional("When its last run is expected to end.", max_length=64)
+    forecast: _Text | None = optional("Where the forecast comes from, or why there is none.")
+    limit: _Text | None = optional("What keeps it from having more runs in flight.")
+    sooner: _Text | None = optional("What would make it sooner.")
+
+
 class SweepStatus(Status):
     """Status of a Sweep: phase, counts of its runs, and the best of them."""
 
@@ -311,8 +328,16 @@ class SweepStatus(Status):
         json_schema_extra={"format": "byte"},
     )
     search: SearchStatus | None = optional("What a search has tried, and how far it is.")
+    share: SweepShare | None = optional("What it has of the cluster, and when it will be done.")
     start_time: _Time | None = optional("When the first run or attempt started.")
     completion_time: _Time | None = optional("When it had finished.")
+
+    def as_patch(self) -> dict[str, Any]:
+        """Return the fields that were given; of its share also those that are absent, which go."""
+        patch = super().as_patch()
+        if self.share is not None:
+            patch["share"] = dict.fromkeys(SweepShare.model_fields) | patch["share"]
+        return patch
 
 
 class EvaluationStatus(Status):

@@ -7,12 +7,14 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from slamhive.model.base import Choice, Duration, Model, Resource, Scalar
+from slamhive.model.base import Choice, Duration, Labels, Model, Resource, Scalar
 from slamhive.model.evaluation import EvaluationSettings
 from slamhive.model.search import Search, SearchMethod
 
 MAX_POINTS = 100_000
 """The most runs that a Sweep may have."""
+MOST_WEIGHT = 1000
+"""The largest weight of a Sweep or a namespace."""
 
 
 class Range(Model):
@@ -104,7 +106,7 @@ class Retention(Model):
 class TemplateMeta(Model):
     """Metadata that every run gets."""
 
-    labels: dict[str, str] = Field(default_factory=dict, description="Labels.")
+    labels: Labels = Field(default_factory=dict, description="Labels.")
     annotations: dict[str, str] = Field(default_factory=dict, description="Annotations.")
 
 
@@ -137,6 +139,9 @@ class SweepSpec(Model):
     )
     search: Search = Field(default_factory=Search, description="Choice of points from the matrix.")
     parallelism: int | None = Field(default=None, ge=1, le=10_000, description="Runs at the same time.")
+    weight: int = Field(
+        default=1, ge=1, le=MOST_WEIGHT, description="Weight by which it shares a cluster with other Sweeps."
+    )
     max_failures: int | None = Field(default=None, ge=0, description="Failed runs after which it stops.")
     budget: Budget = Field(default_factory=Budget, description="Limits at which it stops starting runs.")
     suspend: bool = Field(default=False, description="Whether to start no further runs.")
@@ -147,6 +152,12 @@ class SweepSpec(Model):
     retention: Retention = Field(
         default_factory=Retention, description="Finished runs and folders that are kept."
     )
+
+    @property
+    def runs_alone(self) -> bool:
+        """Tell whether its template says that each run has its node for itself."""
+        resources = self.template.spec.get("resources")
+        return isinstance(resources, dict) and resources.get("exclusiveNodes") is True
 
     @model_validator(mode="after")
     def _fits_search(self) -> Self:
@@ -183,6 +194,7 @@ class Sweep(Resource):
 __all__ = [
     "IMMUTABLE",
     "MAX_POINTS",
+    "MOST_WEIGHT",
     "Axis",
     "Budget",
     "CachePolicy",

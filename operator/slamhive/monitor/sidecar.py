@@ -20,7 +20,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from slamhive.contract.output import read_output
-from slamhive.monitor.measuring.machine import cpu_model, process_start
+from slamhive.monitor.measuring.machine import cpu_model, machine_report, process_start, processors_text
 from slamhive.monitor.measuring.processes import forbid_inspection, read_file
 from slamhive.monitor.metrics import reader_report
 from slamhive.monitor.outcome import StopDecision, out_of_memory
@@ -155,11 +155,15 @@ class Sidecar:
             output=output,
             notes=tuple(state.notes),
         )
+        told = summary.as_json()
+        if told["usage"] and state.exclusive:
+            told["usage"]["processors"] = processors_text(list(state.cpuset or ()))
         return {
-            **summary.as_json(),
+            **told,
             **_played(folder),
             "node": os.environ.get("NODE_NAME") or None,
             "cpuModel": cpu_model(),
+            "machine": machine_report(exclusive=state.exclusive),
         }
 
     def _usage(

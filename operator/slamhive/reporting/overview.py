@@ -40,6 +40,7 @@ _USUAL = (
 _PROVENANCE = (
     ("provenance.slamhiveVersion", "measured with slamhive"),
     ("provenance.cpuModel", "processors"),
+    ("provenance.machine.governor", "governors of their clocks"),
     ("evaluation", "evaluations"),
     ("alignment", "alignments"),
     ("input.pace", "paces"),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.columns import ColumnKind
-from slamhive.analysis.grouping import LOAD, LOAD_FACETS, Groups, aggregate, apart, varies
+from slamhive.analysis.grouping import LOAD, LOAD_FACETS, PROCESSOR, Groups, aggregate, apart, varies
 from slamhive.tables.reading import with_figure
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def _mixed(question: Question, frame: Frame) -> list[str]:
     drawn = (question.x, question.y, *question.by)
     if any(name.startswith(LOAD) or name in LOAD_FACETS for name in drawn):
         return []
-    return ["runs of different processors are drawn together"] if varies(frame, LOAD_FACETS[0]) else []
+    return ["runs of different processors are drawn together"] if varies(frame, PROCESSOR) else []
 
 
 def _worth_drawing(made: Study, panels: list[StudyPanel]) -> list[StudyPanel]:

@@ -143,6 +143,10 @@ class FakeCluster:
         """Answer calls with a Refusal where the function returns one for verb, resource and body."""
         self._server.refusing = refusing
 
+    def serve_kueue(self, *, now: bool) -> None:
+        """Have Kueue's resources served, or no more; its controller is the test's to play."""
+        self._server.has_kueue = now
+
     def end_watches(self) -> None:
         """End all watches that are under way: a server asks for their rights only when they begin."""
         self._do(self._server.end)

@@ -22,7 +22,7 @@ _OVER = frozenset({"Complete", "Failed"})
 
 
 class Jobs:
-    """Makes a pod for each Job, and ends the Job when the pod has ended.
+    """Makes a pod for each Job, takes it away when the Job is suspended, and ends the Job when it has ended.
 
     Args:
         objects: what there is.
@@ -33,6 +33,7 @@ class Jobs:
 
     def __init__(self, objects: Objects) -> None:
         self._objects = objects
+        self._taken: set[str] = set()
         self.refused = False
 
     def look(self) -> None:
@@ -45,16 +46,21 @@ class Jobs:
     def _bring_on(self, job: Object) -> None:
         uid = job["metadata"]["uid"]
         pods = [pod for pod in self._objects.of(PODS, job["metadata"]["namespace"]) if _controls(uid, pod)]
+        if job["spec"]["suspend"]:
+            self._take(pods)
         ended = [pod for pod in pods if pod["status"]["phase"] in ENDED]
+        # What a suspended Job's controller deleted counts neither as failed nor as succeeded.
+        ended = [pod for pod in ended if pod["metadata"]["uid"] not in self._taken]
         succeeded = sum(pod["status"]["phase"] == "Succeeded" for pod in ended)
         failed = sum(pod["status"]["phase"] == "Failed" and not _ignored(job, pod) for pod in ended)
-        live = [pod for pod in pods if pod not in ended]
+        live = [pod for pod in pods if pod["status"]["phase"] not in ENDED]
         if not live and not succeeded and failed <= job["spec"]["backoffLimit"]:
             live = self._make_pod(job)
         active = sum("deletionTimestamp" not in pod["metadata"] for pod in live)
         status: Object = {"active": active or None, "succeeded": succeeded or None, "failed": failed or None}
         if not job["spec"]["suspend"]:
             status["startTime"] = job["status"].get("startTime") or now()
+        before = next((one["status"] for one in job["status"].get("conditions") or ()), None)
         if succeeded:
             done = [("SuccessCriteriaMet", "CompletionsReached"), ("Complete", "CompletionsReached")]
             text = "Reached expected number of succeeded pods"
@@ -63,11 +69,21 @@ class Jobs:
             lost = [("FailureTarget", "BackoffLimitExceeded"), ("Failed", "BackoffLimitExceeded")]
             text = "Job has reached the specified backoff limit"
             status["conditions"] = [_condition(*one, text) for one in lost]
-        elif job["spec"]["suspend"] and not job["status"].get("conditions"):
+        elif job["spec"]["suspend"] and before != "True":
             status["conditions"] = [_condition("Suspended", "JobSuspended", "Job suspended")]
+        elif not job["spec"]["suspend"] and before == "True":
+            resumed = _condition("Suspended", "JobResumed", "Job resumed") | {"status": "False"}
+            status |= {"startTime": now(), "conditions": [resumed]}
         metadata = job["metadata"]
         where = (JOBS, metadata["namespace"], metadata["name"])
         self._objects.patch(*where, {"status": status}, "status")
+
+    def _take(self, pods: list[Object]) -> None:
+        for pod in pods:
+            metadata = pod["metadata"]
+            if pod["status"]["phase"] not in ENDED and "deletionTimestamp" not in metadata:
+                self._taken.add(metadata["uid"])
+                self._objects.delete(PODS, metadata["namespace"], metadata["name"])
 
     def _make_pod(self, job: Object) -> list[Object]:
         if job["spec"]["suspend"]:

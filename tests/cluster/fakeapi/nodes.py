@@ -59,12 +59,14 @@ class Nodes:
     def _schedule(self, pod: Object, nodes: dict[str, Object]) -> None:
         if "deletionTimestamp" in pod["metadata"] or pod["status"]["phase"] in ENDED:
             return
-        name = next((name for name, node in nodes.items() if _fits(pod, node)), None)
+        fitting = [name for name, node in nodes.items() if _fits(pod, node)]
+        name = next((name for name in fitting if self._has_room(nodes[name])), None)
         if name is None:
+            why = f"{len(fitting)} Too many pods" if fitting else "none fits its selector and tolerations"
             told = {
                 "status": "False",
                 "reason": "Unschedulable",
-                "message": f"0/{len(nodes)} nodes are available: none fits its selector and tolerations.",
+                "message": f"0/{len(nodes)} nodes are available: {why}.",
             }
         else:
             told = {"status": "True"}
@@ -73,6 +75,15 @@ class Nodes:
         if not scheduled or scheduled[0]["status"] != told["status"]:
             condition = {"type": "PodScheduled", "lastTransitionTime": now()} | told
             self._patch(pod, {"status": {"conditions": [condition]}})
+
+    def _has_room(self, node: Object) -> bool:
+        """Tell whether a node holds fewer pods than it says that it can; one that says nothing holds all."""
+        most = ((node.get("status") or {}).get("allocatable") or {}).get("pods")
+        there = (
+            pod["spec"].get("nodeName") == node["metadata"]["name"] and pod["status"]["phase"] not in ENDED
+            for pod in self._objects.of(PODS)
+        )
+        return most is None or sum(there) < int(most)
 
     def _play(self, pod: Object, play: Play) -> None:
         uid = pod["metadata"]["uid"]

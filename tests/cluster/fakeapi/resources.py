@@ -77,6 +77,9 @@ NODES = Resource("", "v1", "nodes", "Node", namespaced=False, has_status=True)
 LIMIT_RANGES = Resource("", "v1", "limitranges", "LimitRange")
 QUOTAS = Resource("", "v1", "resourcequotas", "ResourceQuota")
 
+WORKLOADS = Resource("kueue.x-k8s.io", "v1beta2", "workloads", "Workload", has_status=True)
+"""Kueue's picture of a Job; served only where a test installs Kueue."""
+
 
 @cache
 def resources() -> tuple[Resource, ...]:
@@ -95,7 +98,7 @@ def resources() -> tuple[Resource, ...]:
                 schema=schema,
             )
         )
-    return (PODS, JOBS, EVENTS, NAMESPACES, NODES, LIMIT_RANGES, QUOTAS, *ours)
+    return (PODS, JOBS, EVENTS, NAMESPACES, NODES, LIMIT_RANGES, QUOTAS, WORKLOADS, *ours)
 
 
 def named(word: str) -> Resource:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from aiohttp import web
 from fakeapi.refusals import Refusal, bad_request, expired, not_found
-from fakeapi.resources import PODS, Resource, at, resources
+from fakeapi.resources import PODS, WORKLOADS, Resource, at, resources
 from fakeapi.schema import loads
 from fakeapi.selectors import selecting
 
@@ -32,6 +32,7 @@ LAST_BOOKMARK_SECONDS = 2.0
 """Time between the last bookmark of a watch and its end, as on a real server."""
 _METHODS = {"POST": "create", "PATCH": "patch", "DELETE": "delete"}
 _METRICS = "/apis/metrics.k8s.io/"
+_KUEUE = f"/apis/{WORKLOADS.group}/"
 _VERSION = {"major": "1", "minor": "34", "gitVersion": "v1.34.0-fake"}
 
 
@@ -46,6 +47,7 @@ class Server:
     Attributes:
         refusing: asked before each call with its verb and resource, as roles name them, and its body; a
             Refusal that is returned is the answer.
+        has_kueue: whether Kueue's resources are served.
     """
 
     def __init__(
@@ -60,6 +62,7 @@ class Server:
         self._lists: dict[str, tuple[int, list[Object]]] = {}
         self._tokens = itertools.count(1)
         self._watches: dict[asyncio.Queue[Change | None], None] = {}
+        self.has_kueue = False
         self.refusing: Refusing = lambda _verb, _resource, _body: None
         objects.heard.append(self._tell)
 
@@ -90,6 +93,8 @@ class Server:
             return web.json_response(refusal.status, status=refusal.code)
 
     async def _route(self, request: web.Request) -> web.StreamResponse:
+        if request.path.startswith(_KUEUE) and not self.has_kueue:
+            raise Refusal(404, "NotFound", "the server could not find the requested resource")
         if request.path.startswith(_METRICS) and (no := self.refusing("list", "pods.metrics.k8s.io", {})):
             raise no
         known = self._measured() if request.path.startswith(_METRICS) else _discovered(request.path)

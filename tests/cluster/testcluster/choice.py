@@ -74,7 +74,7 @@ def _problems(mode: str, *, building: bool) -> tuple[str, ...]:
     match mode:
         case "local":
             found = missing.missing()
-            absent = programs.absent()
+            absent = programs.absent_for_a_cluster()
             if not found and absent and not building:
                 found = [f"its programs are not built ({', '.join(absent)}): make cluster-build"]
             return tuple(found)

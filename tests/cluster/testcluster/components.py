@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from typing import TYPE_CHECKING, Any
 
 from testcluster.pki import NODE
@@ -201,6 +202,38 @@ def metrics_server(instance: Instance) -> list[str]:
         f"--kubelet-certificate-authority={instance.pki}/ca.crt",
         "--metric-resolution=15s",
         "--kubelet-preferred-address-types=InternalIP",
+    ]
+
+
+def kueue(instance: Instance) -> list[str]:
+    """Kueue's controller, for Jobs alone, without its webhooks: Jobs that are made suspended need none.
+
+    It looks for the certificates of its figures in one folder below /etc, which is laid there for it alone.
+    """
+    folder = instance.folder / "kueue"
+    certificates = folder / "etc" / "kueue" / "metrics" / "certs"
+    certificates.mkdir(parents=True, exist_ok=True)
+    for kind in ("crt", "key"):
+        shutil.copyfile(instance.pki / f"apiserver.{kind}", certificates / f"tls.{kind}")
+    settings: dict[str, Any] = {
+        "apiVersion": "config.kueue.x-k8s.io/v1beta2",
+        "kind": "Configuration",
+        "namespace": "kube-system",
+        "health": {"healthProbeBindAddress": "127.0.0.1:8081"},
+        "metrics": {"bindAddress": "127.0.0.1:8443"},
+        "webhook": {"host": "127.0.0.1", "port": 9443, "certDir": str(certificates)},
+        "leaderElection": {"leaderElect": False},
+        "internalCertManagement": {"enable": False},
+        "clientConnection": {"qps": 500, "burst": 1000},
+        "featureGates": {"VisibilityOnDemand": False, "MultiKueue": False},
+        "integrations": {"frameworks": ["batch/job"]},
+    }
+    (folder / "kueue.json").write_text(json.dumps(settings, indent=1))
+    lay = 'mount -t overlay overlay -o lowerdir="$0":/etc /etc && exec "$@"'
+    return [
+        *("unshare", "--mount", "sh", "-c", lay, str(folder / "etc")),
+        *(str(path_of("kueue")), f"--config={folder}/kueue.json"),
+        f"--kubeconfig={instance.folder}/admin.kubeconfig",
     ]
 
 

@@ -19,6 +19,7 @@ from testcluster import choice
 from testcluster.kwok import Kwok
 from testcluster.local import Local
 from testcluster.places import DEFAULT
+from testcluster.programs import build, files_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -134,6 +135,19 @@ def make_namespace(request: pytest.FixtureRequest, control_plane: Cluster) -> It
 def namespace(make_namespace: Callable[[str], str]) -> str:
     """A namespace of the test's own with restricted Pod Security."""
     return make_namespace("")
+
+
+@pytest.fixture(scope="session")
+def kueue(local_control_plane: Local) -> Iterator[Local]:
+    """The control plane with Kueue at work; its kinds stay, and what tests make of them."""
+    build(("kueue",))
+    cluster = local_control_plane.access()
+    paths = sorted(files_of("kueue").glob("*.yaml"))
+    cluster.apply_files(paths)
+    cluster.await_kinds(f"{path.stem.partition('_')[2]}.kueue.x-k8s.io" for path in paths)
+    local_control_plane.start("kueue")
+    yield local_control_plane
+    local_control_plane.stop("kueue")
 
 
 @pytest.fixture(scope="session")

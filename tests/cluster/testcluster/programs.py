@@ -38,8 +38,13 @@ PROGRAMS: dict[str, tuple[str, str]] = {
     "kwok": ("kwok", "sigs.k8s.io/kwok/cmd/kwok"),
     "metrics-server": ("metrics-server", "sigs.k8s.io/metrics-server/cmd/metrics-server"),
     "helm": ("helm", "helm.sh/helm/v3/cmd/helm"),
+    "kueue": ("kueue", "sigs.k8s.io/kueue/cmd/kueue"),
 }
 """Module folder and package of each program."""
+BUILT_LATE = ("kueue",)
+"""Programs of few tests, which build them where `make cluster-build` has not: minutes."""
+_FILES = {"kueue": ("sigs.k8s.io/kueue", "config/components/crd/bases")}
+"""Folders of modules that are kept beside a program."""
 CONTROL_PLANE = ("etcd", "kube-apiserver", "kube-controller-manager", "kube-scheduler", "kubectl")
 NODE = ("kubelet", "kube-proxy", "metrics-server", "pause")
 _FLAGS = "-s -w" + "".join(
@@ -63,9 +68,19 @@ def path_of(program: str) -> Path:
     return home() / "programs" / f"{module}-{_digest(module)}" / program
 
 
+def files_of(program: str) -> Path:
+    """Return the folder of what a program's module brings along."""
+    return path_of(program).with_name(f"{program}.files")
+
+
 def absent(programs: tuple[str, ...] | None = None) -> list[str]:
     """Return the programs that have not been built yet."""
     return [name for name in programs or tuple(PROGRAMS) if not path_of(name).exists()]
+
+
+def absent_for_a_cluster() -> list[str]:
+    """Return the programs that any cluster needs and that have not been built yet."""
+    return absent(tuple(name for name in PROGRAMS if name not in BUILT_LATE))
 
 
 def build(programs: tuple[str, ...] | None = None) -> None:
@@ -99,11 +114,22 @@ def _build(name: str) -> None:
         "GOFLAGS": "-mod=readonly -buildvcs=false",
         "GOWORK": "off",
     }
-    result = subprocess.run(
-        command, cwd=MODULES / module, env=environment, capture_output=True, text=True, check=False
-    )
-    if result.returncode:
-        raise ClusterError(f"building {name} failed: {result.stderr.strip()[-2000:]}")
+
+    def run(*words: str) -> str:
+        result = subprocess.run(
+            words, cwd=MODULES / module, env=environment, capture_output=True, text=True, check=False
+        )
+        if result.returncode:
+            raise ClusterError(f"building {name} failed: {result.stderr.strip()[-2000:]}")
+        return result.stdout.strip()
+
+    run(*command)
+    if name in _FILES:
+        origin, folder = _FILES[name]
+        place = run(go, "list", "-m", "-f", "{{.Dir}}", origin)
+        shutil.copytree(
+            f"{place}/{folder}", files_of(name), dirs_exist_ok=True, copy_function=shutil.copyfile
+        )
     work.replace(target)
     sys.stderr.write(f"{time.monotonic() - begun:.0f} s\n")
 

@@ -22,6 +22,7 @@ ANALYSES = (
     "importance",
     "repeatability",
     "suspects",
+    "suspects/nodes",
     "common",
     "versions",
 )

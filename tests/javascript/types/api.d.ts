@@ -537,6 +537,19 @@ declare namespace Api {
 
   type Suspect = { keys: Keys; scale: number; spread: number; n: number; sentence: string };
   type Suspects = { items: Suspect[]; notes: string[] };
+  type NodeStanding = {
+    node: string;
+    kind: string;
+    others: number;
+    settings: number;
+    runs: number;
+    ratio: number;
+    low: number | null;
+    high: number | null;
+    verdict: string;
+    sentence: string;
+  };
+  type Nodes = { items: NodeStanding[]; notes: string[] };
   type SuspectStretch = {
     begin: number;
     end: number;

@@ -247,7 +247,7 @@ def test_what_takes_too_much_to_measure_is_noted_and_not_tried_again(
             with tried.open("a") as file:
                 file.write("x")
             return bytes(1 << 30)
-        return measuring_apart._measured(question, truths)
+        return measuring_apart.measure_output(question, truths)
 
     monkeypatch.setattr(bench, "measuring", BoundedProcess(answer, 60, 256 << 20))
     why = "can't be measured here: it takes more than 256 MiB of memory"

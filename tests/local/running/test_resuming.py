@@ -8,7 +8,7 @@ import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -16,7 +16,7 @@ from slamhive.analysis import Selection, choose
 from slamhive.local.running import workbench
 from slamhive.local.running.attempt import Attempt
 from slamhive.model.dataset import GroundTruth
-from slamhive.model.results import Phase
+from slamhive.model.results import Machine, Phase
 from slamhive.tables.reading import read_archive
 
 if TYPE_CHECKING:
@@ -52,14 +52,18 @@ def test_another_sweep_reuses_equal_runs_but_not_failed_ones(run_acts: Callable)
     assert good.usage
 
 
-def test_usage_that_another_processor_gave_is_not_taken_over(run_acts: Callable, bench: Workbench) -> None:
+@pytest.mark.parametrize("other", [{"cpu_model": "another"}, {"machine": Machine(exclusive_cores=True)}])
+def test_usage_that_another_machine_gave_is_not_taken_over(
+    run_acts: Callable, bench: Workbench, other: dict[str, Any]
+) -> None:
     run_acts(["good"])
     [first] = bench.archive.runs()
-    bench.archive.put_run(first.replace(provenance=first.provenance.replace(cpu_model="another")))
+    bench.archive.put_run(first.replace(provenance=first.provenance.replace(**other)))
     _, notes = run_acts(["good"], name="others")
     record = notes.records[0]
     assert record.provenance.reused_from == first.name
-    assert (record.usage, record.provenance.cpu_model) == (None, "another")
+    assert record.usage is None
+    assert other.items() <= dict(record.provenance).items()
     assert (record.trajectory, record.results) == (first.trajectory, first.results)
 
 

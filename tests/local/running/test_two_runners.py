@@ -14,6 +14,7 @@ from slamhive.archive import Archive
 from slamhive.engine import PointState
 from slamhive.local.home.claims import Claims
 from slamhive.local.home.leases import LeaseKind
+from slamhive.local.programs.cores import whole_cores
 from slamhive.local.running.choosing import RunChoice
 from slamhive.local.running.runner import Job, Runner
 from slamhive.local.running.workbench import Workbench
@@ -95,6 +96,27 @@ def test_equal_runs_of_other_sweeps_are_computed_once(
     computed = [record for record in records if record.provenance.reused_from is None]
     assert (len(records), len(computed)) == (8, 4)
     assert len({record.provenance.content_hash for record in computed}) == 4
+
+
+def test_runs_that_ask_for_the_machine_alone_have_it_from_another_runners_too(
+    home: Home, workshop: Workshop, bench: Workbench
+) -> None:
+    alone = {"resources": {"exclusiveNodes": True}}
+    both(
+        home,
+        workshop,
+        [
+            sweep_of(("good", "forks"), name="alone", repetitions=2, template=alone),
+            sweep_of(("good", "forks"), name="others", repetitions=2),
+        ],
+    )
+    records = list(bench.archive.runs())
+    assert len(records) == 8
+    for one in (record for record in records if record.sweep == "alone"):
+        assert one.usage
+        assert len(str(one.usage.processors).split(",")) == len(whole_cores()[0])
+        for other in records:
+            assert other is one or other.finished <= one.started or one.finished <= other.started
 
 
 @pytest.mark.parametrize("kind", [LeaseKind.RUNS, LeaseKind.CONTENTS])

@@ -47,6 +47,11 @@ MEASURED = (TRAJECTORY, SEGMENTS, ONLINE, KEYFRAMES, HEALTH, COVARIANCES)
 """Files of a run that its figures come from."""
 
 
+def run_file(run: str, name: str) -> str:
+    """Return the name that a run's file has in a bundle."""
+    return f"runs/{run}/{name}"
+
+
 class StudyDataset(Model):
     """Dataset of a study: its name, by which it is fetched, and checksums of what is behind it.
 

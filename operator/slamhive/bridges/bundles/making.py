@@ -42,7 +42,7 @@ from slamhive.model.catalogue import find_sequence
 from slamhive.model.errors import InputError, SlamHiveError
 from slamhive.model.evaluation import EvaluationSettings
 from slamhive.model.extras import library
-from slamhive.model.results import Phase
+from slamhive.model.results import IMPORTED, Phase
 from slamhive.tables.manifests import manifest, without_nothing
 
 if TYPE_CHECKING:
@@ -125,6 +125,11 @@ def _records(bench: Workbench, sweep: SweepRecord) -> list[RunRecord]:
     found = list(bench.archive.runs({"sweep_uid": sweep.uid}))
     if any(record.origin for record in found):
         raise InputError(f"sweep {sweep.name!r} is somebody else's: pass on the bundle that it came in")
+    if any(record.labels.get("source") == IMPORTED for record in found):
+        raise InputError(
+            f"sweep {sweep.name!r} came from the original SLAM Hive, which has no manifests of what ran, and "
+            "nobody could verify a bundle without: pass on its folders, which slamhive import takes"
+        )
     records = [one for one in found if one.phase.is_finished and current_uid(one.uid) == one.uid]
     if not records:
         raise InputError(f"sweep {sweep.name!r} has no finished run here: slamhive run it first")
@@ -185,7 +190,7 @@ class _BundleMaking:
             kept = anonymous_record(kept)
         run = BundledRun(record=kept, algorithm=algorithm, dataset=dataset, subject=subject)
         self._runs.append(run)
-        self._write_json(f"runs/{record.name}/{contents.RUN}", run.as_json())
+        self._write_json(contents.run_file(record.name, contents.RUN), run.as_json())
         self.report.runs += 1
 
     def write(self, output: Path, records: Sequence[RunRecord]) -> None:
@@ -326,7 +331,7 @@ class _BundleMaking:
         for name in contents.MEASURED:
             try:
                 with open_below(str(output), name) as descriptor, os.fdopen(os.dup(descriptor), "rb") as file:
-                    target = self._place(f"runs/{run}/{name}")
+                    target = self._place(contents.run_file(run, name))
                     with target.open("wb") as copy:
                         shutil.copyfileobj(file, copy)
             except (FileNotFoundError, NotRegularError):

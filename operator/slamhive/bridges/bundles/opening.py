@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Opening of a bundle that a stranger made: unpacked within bounds, each file held against its checksum."""
+"""Opening of a bundle that a stranger made: read within bounds, each file held against its checksum."""
 
 from __future__ import annotations
 
@@ -7,27 +7,24 @@ import hashlib
 import json
 import os
 import re
-import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from slamhive.archive.records import require_parts
 from slamhive.bridges.bundles.contents import FORM, METADATA, RUN, STUDY, BundledRun, BundledStudy
-from slamhive.contract.files import read_regular
+from slamhive.bridges.bundles.zipfiles import BundleFile
 from slamhive.contract.lines import printable
-from slamhive.data.files.unpacking import unpack
-from slamhive.data.recordings.entries import file_sha256
 from slamhive.model.base import explain
 from slamhive.model.errors import DataError, InputError
-from slamhive.model.loading import load_file
+from slamhive.model.loading import parse, to_object
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator, Mapping
+    from pathlib import Path
 
     from slamhive.model.algorithm import Algorithm
     from slamhive.model.dataset import Dataset
@@ -43,88 +40,62 @@ class OpenedBundle:
     """A bundle whose files are what their checksums say.
 
     Attributes:
-        title: the file's name.
-        folder: where it is unpacked.
+        file: its file.
         study: what it is of.
         sha256: of study.json, and by it of all files.
         runs: its runs, by name.
     """
 
-    title: str
-    folder: Path
+    file: BundleFile
     study: BundledStudy
     sha256: str
     runs: dict[str, BundledRun]
-
-    def file(self, run: str, name: str) -> Path:
-        """Return the path of a run's file, there or not."""
-        return self.folder / "runs" / run / name
 
     def manifest(self, name: str) -> Algorithm | Dataset:
         """Return an object of a manifest in the bundle.
 
         Raises:
-            InputError: it doesn't follow the language.
+            DataError: it doesn't follow the language.
         """
-        return load_file(self.folder / name)[0]  # type: ignore[return-value]
+        title = self.file.title
+        try:
+            (document,) = parse(_text(self.file, name), f"{title}: {name}")
+            return to_object(document)  # type: ignore[return-value]
+        except ValueError:
+            raise DataError(f"{title}: {name}: expected one object") from None
+        except InputError as error:
+            raise DataError(str(error)) from None
 
 
 @contextmanager
-def opened_bundle(path: Path) -> Iterator[OpenedBundle]:
-    """Unpack a bundle into a folder of its own, which goes when this ends.
+def opened_bundle(path: Path, *, later: Collection[str] = ()) -> Iterator[OpenedBundle]:
+    """Open a bundle and check what is in it, as long as this lasts.
+
+    Args:
+        path: the file.
+        later: names of files of runs whose checksums are left to who reads them, by `require_unchanged`.
 
     Raises:
         DataError: it is no bundle, damaged, changed, or larger than an archive of data gets.
-        SystemFault: the disk refuses.
     """
     if not path.is_file():
         raise DataError(f"{path}: no such file")
-    with tempfile.TemporaryDirectory(prefix="slamhive-bundle-") as name:
-        folder = Path(name)
-        unpack(path, [""], folder, title=path.name)
-        yield _opened(path.name, folder)
+    with BundleFile(path) as file:
+        yield _opened(file, later)
 
 
-def _opened(title: str, folder: Path) -> OpenedBundle:
-    if not (folder / STUDY).is_file():
-        raise DataError(f"{title}: has no {STUDY}: it is no bundle of slamhive bundle")
-    content = _content(folder / STUDY, title, STUDY)
-    told = _json(content, title, STUDY)
-    if not isinstance(told, dict) or told.get("form") != FORM:
-        form = printable(str(told.get("form") if isinstance(told, dict) else told))[:40]
-        raise DataError(f"{title}: {STUDY}: form is {form!r}, and this slamhive reads {FORM!r}")
-    study = _checked(BundledStudy, told, title, STUDY)
-    _require_sums(title, folder, study)
-    runs = {}
-    for name in sorted(study.files):
-        parts = name.split("/")
-        if parts[0] == "runs" and parts[-1] == RUN:
-            runs[parts[1]] = _run(title, folder, study, name)
-    if not runs:
-        raise DataError(f"{title}: has no runs")
-    found = OpenedBundle(title, folder, study, hashlib.sha256(content).hexdigest(), runs)
-    manifests = [one.manifest for one in study.algorithms] + [one.manifest for one in study.datasets]
-    for name in manifests:
-        try:
-            found.manifest(name)
-        except InputError as error:
-            raise DataError(f"{title}: {str(error).replace(f'{folder}/', '')}") from None
-    return found
+def require_unchanged(title: str, study: BundledStudy, sums: Mapping[str, str]) -> None:
+    """Refuse a bundle of which files were changed after it was made.
 
+    Args:
+        title: the bundle's name.
+        study: what it should be.
+        sums: SHA-256 of files as they are, by their names.
 
-def _require_sums(title: str, folder: Path, study: BundledStudy) -> None:
-    there = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()} - {STUDY}
-    missing, more = sorted(study.files.keys() - there), sorted(there - study.files.keys())
-    if METADATA not in study.files:
-        missing.append(METADATA)
-    for names, what in ((missing, "lacks"), (more, f"holds what {STUDY} doesn't name:")):
-        if names:
-            rest = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-            raise DataError(f"{title}: {what} {printable(', '.join(names[:_SHOWN]))}{rest}")
-    names = sorted(study.files)
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        sums = list(pool.map(lambda name: file_sha256(folder / name), names))
-    changed = [name for name, sha256 in zip(names, sums, strict=True) if study.files[name] != sha256]
+    Raises:
+        DataError: naming the first few.
+    """
+    changed = sorted(name for name, sha256 in sums.items() if study.files[name] != sha256)
     if changed:
         rest = f" and {len(changed) - _SHOWN} more" if len(changed) > _SHOWN else ""
         raise DataError(
@@ -133,8 +104,47 @@ def _require_sums(title: str, folder: Path, study: BundledStudy) -> None:
         )
 
 
-def _run(title: str, folder: Path, study: BundledStudy, name: str) -> BundledRun:
-    run = _checked(BundledRun, _json(_content(folder / name, title, name), title, name), title, name)
+def _opened(file: BundleFile, later: Collection[str]) -> OpenedBundle:
+    title = file.title
+    if STUDY not in file.names:
+        raise DataError(f"{title}: has no {STUDY}: it is no bundle of slamhive bundle")
+    content = file.read(STUDY, _LIMIT_BYTES)
+    told = _json(content, title, STUDY)
+    if not isinstance(told, dict) or told.get("form") != FORM:
+        form = printable(str(told.get("form") if isinstance(told, dict) else told))[:40]
+        raise DataError(f"{title}: {STUDY}: form is {form!r}, and this slamhive reads {FORM!r}")
+    study = _checked(BundledStudy, told, title, STUDY)
+    _require_names(file, study)
+    names = [name for name in study.files if name.rpartition("/")[2] not in later]
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        require_unchanged(title, study, dict(zip(names, pool.map(file.copy, names), strict=True)))
+    runs = {}
+    for name in sorted(study.files):
+        parts = name.split("/")
+        if parts[0] == "runs" and parts[-1] == RUN:
+            runs[parts[1]] = _run(file, study, name)
+    if not runs:
+        raise DataError(f"{title}: has no runs")
+    found = OpenedBundle(file, study, hashlib.sha256(content).hexdigest(), runs)
+    for name in [*(one.manifest for one in study.algorithms), *(one.manifest for one in study.datasets)]:
+        found.manifest(name)
+    return found
+
+
+def _require_names(file: BundleFile, study: BundledStudy) -> None:
+    there = file.names - {STUDY}
+    missing, more = sorted(study.files.keys() - there), sorted(there - study.files.keys())
+    if METADATA not in study.files:
+        missing.append(METADATA)
+    for names, what in ((missing, "lacks"), (more, f"holds what {STUDY} doesn't name:")):
+        if names:
+            rest = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+            raise DataError(f"{file.title}: {what} {printable(', '.join(names[:_SHOWN]))}{rest}")
+
+
+def _run(file: BundleFile, study: BundledStudy, name: str) -> BundledRun:
+    title = file.title
+    run = _checked(BundledRun, _json(file.read(name, _LIMIT_BYTES), title, name), title, name)
     record, folder_name = run.record, name.split("/")[1]
     if record.name != folder_name or not _RUN_NAME.fullmatch(record.name):
         raise DataError(f"{title}: {name}: record.name: expected {folder_name!r}, found {record.name[:80]!r}")
@@ -155,11 +165,11 @@ def _run(title: str, folder: Path, study: BundledStudy, name: str) -> BundledRun
     return run
 
 
-def _content(path: Path, title: str, name: str) -> bytes:
-    content = read_regular(str(path), _LIMIT_BYTES + 1)
-    if len(content) > _LIMIT_BYTES:
-        raise DataError(f"{title}: {name}: is larger than {_LIMIT_BYTES >> 20} MiB")
-    return content
+def _text(file: BundleFile, name: str) -> str:
+    try:
+        return file.read(name, _LIMIT_BYTES).decode()
+    except UnicodeDecodeError:
+        raise DataError(f"{file.title}: {name}: not a text file in UTF-8") from None
 
 
 def _json(content: bytes, title: str, name: str) -> Any:

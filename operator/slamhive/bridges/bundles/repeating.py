@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.engine import LoadConditions
 from slamhive.model.base import plain_name
 from slamhive.model.canonical import digest, normalize
 from slamhive.model.results import Phase
@@ -122,7 +123,8 @@ def compare_repeated(bundle: OpenedBundle, run: BundledRun, again: RunRecord) ->
     """
     same = [one.record for one in bundle.runs.values() if _setting(one.record) == _setting(run.record)]
     names = [*FIGURES]
-    if again.provenance.cpu_model and again.provenance.cpu_model == run.record.provenance.cpu_model:
+    here, there = LoadConditions.of(again.provenance), LoadConditions.of(run.record.provenance)
+    if here.processor and there.processor and not here.differences(there):
         names.append(LOAD)
     found = []
     for name in names:

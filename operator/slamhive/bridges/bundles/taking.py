@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +25,7 @@ from slamhive.model.errors import InputError, SystemFault
 from slamhive.model.results import Origin, OriginKind, Provenance, RunRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from slamhive.archive import Archive
     from slamhive.bridges.bundles.contents import BundledRun
@@ -118,9 +118,8 @@ def take_bundle(
         record = _foreign_record(home, bundle, run, label, sweep)
         if record.uid in known:
             continue
-        files = {name: path for name in MEASURED if (path := bundle.file(run.record.name, name)).is_file()}
         # Files before the record: what a record says to be there is there.
-        place_files(home, Path(record.folder or ""), files)
+        place_files(home, Path(record.folder or ""), partial(bundle.file.place_run, run.record.name))
         batch.append((record, entries[run.algorithm], entries[run.dataset]))
         added += 1
         if len(batch) == BATCH:
@@ -131,13 +130,13 @@ def take_bundle(
     return BundleTaken(added, len(bundle.runs) - added)
 
 
-def place_files(home: Home, folder: Path, files: Mapping[str, Path]) -> None:
+def place_files(home: Home, folder: Path, place: Callable[[Path], object]) -> None:
     """Put the files of a run where those of own runs are, whole or not at all.
 
     Args:
         home: the home.
         folder: the run's folder.
-        files: where they are, by their names.
+        place: writes them into a folder.
 
     Raises:
         SystemFault: the disk refuses.
@@ -150,8 +149,7 @@ def place_files(home: Home, folder: Path, files: Mapping[str, Path]) -> None:
             remove(aside)
         output = aside / _OUTPUT
         output.mkdir(parents=True)
-        for name, source in files.items():
-            shutil.copyfile(source, output / name)
+        place(output)
         settle(aside, read_only=False)
         folder.parent.mkdir(parents=True, exist_ok=True)
         aside.rename(folder)
@@ -173,7 +171,7 @@ def _foreign_record(
     origin = Origin(
         kind=OriginKind.BUNDLE,
         label=label,
-        source=f"{study.title} ({bundle.title})",
+        source=f"{study.title} ({bundle.file.title})",
         sha256=bundle.sha256,
         algorithm=name,
         content_hash=record.provenance.content_hash,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import typer
 from rich.markup import escape
 
-from slamhive.cli.parts.console import bytes_text, command_name, complain, open_archive, out, plural, remark
+from slamhive.cli.parts.console import bytes_text, command_name, complain, open_archive, out, remark
 from slamhive.cli.parts.exits import FAILED, INTERRUPTED
 from slamhive.cli.parts.waiting import Work
 from slamhive.kube.api.kinds import Kind
@@ -20,6 +20,7 @@ from slamhive.kube.user.queries import find
 from slamhive.kube.user.run_files import Filed, Filing, WantedRun
 from slamhive.kube.user.submitting import read_catalog
 from slamhive.local.home.folder import Home, lock
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:

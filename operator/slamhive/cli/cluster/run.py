@@ -19,7 +19,6 @@ from slamhive.cli.parts.console import (
     err,
     open_archive,
     out,
-    plural,
     remark,
     speaks_json,
 )
@@ -40,6 +39,7 @@ from slamhive.kube.user.queries import (
     troubles,
 )
 from slamhive.local.home.folder import Home
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError
 from slamhive.model.results import Phase
 from slamhive.model.sweep import Sweep

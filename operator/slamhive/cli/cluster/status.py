@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from slamhive.cli.cluster.work import ClusterPlace
-from slamhive.cli.parts.console import bytes_text, out, plural, remark
+from slamhive.cli.parts.console import bytes_text, out, remark
 from slamhive.kube.api.errors import ApiError
 from slamhive.kube.api.kinds import Kind
 from slamhive.kube.status import metres, moment, phase_of
@@ -31,6 +31,7 @@ from slamhive.kube.user.queries import (
     status_of,
     troubles,
 )
+from slamhive.model.base import plural
 from slamhive.model.errors import SlamHiveError, UnknownNameError
 
 if TYPE_CHECKING:

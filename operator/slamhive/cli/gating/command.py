@@ -7,9 +7,10 @@ tell; with 1 where the machine was in the way; with 2 on wrong input; with 130 w
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -22,6 +23,7 @@ from slamhive.analysis.gating.figures import (
     parse_figure,
 )
 from slamhive.cli.gating.course import Comparing, compare
+from slamhive.cli.gating.repeating import begun
 from slamhive.cli.gating.runs import (
     GateSweep,
     GateWish,
@@ -34,15 +36,7 @@ from slamhive.cli.gating.runs import (
     tell_disturbed,
 )
 from slamhive.cli.parts import tables
-from slamhive.cli.parts.console import (
-    emit,
-    open_workbench,
-    out,
-    plural,
-    remark,
-    speak_json,
-    speaks_json,
-)
+from slamhive.cli.parts.console import emit, open_workbench, out, remark, speak_json, speaks_json
 from slamhive.cli.parts.exits import FAILED, INTERRUPTED, UNKNOWN, WORSE
 from slamhive.cli.plans import Files
 from slamhive.cli.running import (
@@ -53,11 +47,12 @@ from slamhive.cli.running import (
     algorithms_of,
     tell_of,
 )
+from slamhive.engine import LoadConditions
 from slamhive.local.home.catalog import load_workshop
 from slamhive.local.home.folder import Home
 from slamhive.local.home.sweeping import require_own_name
 from slamhive.local.programs.engines import ContainerChoice
-from slamhive.model.base import seconds
+from slamhive.model.base import plural, seconds
 from slamhive.model.errors import InputError
 from slamhive.model.sweep import Budget
 from slamhive.monitor.measuring.processes import forbid_inspection
@@ -66,7 +61,7 @@ from slamhive.reporting.gate.baseline import Baseline, read_baseline
 from slamhive.reporting.gate.summaries import HEADINGS, GateReport, junit, markdown, recorded_markdown
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from slamhive.local.running.workbench import Workbench
 
@@ -132,7 +127,7 @@ def gate(
         remark(f"{baseline}: not there yet: it is recorded now, and compared with from the next time on")
         baseline, record = None, baseline
     limit = _seconds(budget)
-    wish = GateWish(repetitions, limit, parallelism, rerun, _figures(figure, margin), bool(figure))
+    wish = GateWish(repetitions, limit, parallelism, None, _figures(figure, margin), bool(figure))
     known = read_baseline(baseline) if baseline is not None else None
     for path in (record, summary, junit_file):
         if path is not None and not path.absolute().parent.is_dir():
@@ -149,15 +144,38 @@ def gate(
             require_own_name(bench.archive, [test.sweep for test in tests])
             plans = [test.points for test in tests]
             bench.programs.fetch([workshop.algorithm(name) for name in algorithms_of(plans)])
-            if record is not None:
-                code = _record(tests, bench, wish, record, summary)
-            elif known is not None and baseline is not None:
+
+            def decided(wish: GateWish) -> int:
+                if known is None or baseline is None:
+                    return _record(tests, bench, wish, cast("Path", record), summary)
                 comparing = Comparing(known, baseline, summary, junit_file)
                 report, faults = compare(tests, bench, wish, comparing)
-                code = _told(report, comparing, faults=faults)
+                return _told(report, comparing, faults=faults)
+
+            code = _repeated(tests, bench, wish, record or baseline, decided) if rerun else decided(wish)
     if speaks_json():
         emit("exit", code=code)
     raise typer.Exit(code)
+
+
+def _repeated(
+    tests: Sequence[GateSweep],
+    bench: Workbench,
+    wish: GateWish,
+    file: Path | None,
+    decided: Callable[[GateWish], int],
+) -> int:
+    """Do a gate whose finished runs are done again, or go on with one that was interrupted."""
+    command = [str(file and file.absolute()), *(test.uid for test in tests)]
+    with begun(bench.home, command) as (since, keep):
+        done = sum(len(test.begun_since(bench, since)) for test in tests)
+        if done:
+            told = f"{since.astimezone():%Y-%m-%d %H:%M}"
+            remark(f"goes on with what was interrupted: {plural(done, 'run')} since {told} stand")
+        code = decided(replace(wish, since=since))
+        if code == INTERRUPTED:
+            keep()
+    return code
 
 
 def _seconds(text: str | None) -> float | None:
@@ -209,12 +227,13 @@ def _record(
     cells = [cell for one in rows for cell in one.cells.values()]
     for sentence in (sentence for one in rows for sentence in one.faults):
         remark(sentence)
-    models = set().union(*(one.processors for one in rows))
+    shared = LoadConditions.common(set().union(*(one.conditions for one in rows))) or LoadConditions(None)
     if not cells:
         remark("no run has finished: nothing is recorded")
         return FAILED
     made = Baseline(
-        processor=models.pop() if len(models) == 1 else None,
+        processor=shared.processor,
+        machine=shared.machine,
         recorded=f"{datetime.now(UTC):%Y-%m-%d}",
         version=__version__,
         cells=cells,

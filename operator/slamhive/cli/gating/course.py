@@ -29,11 +29,10 @@ from slamhive.cli.gating.runs import (
     recorded_columns,
     tell_disturbed,
 )
-from slamhive.cli.parts.console import (
-    listing,
-    plural,
-)
+from slamhive.cli.parts.console import listing
 from slamhive.cli.parts.exits import INTERRUPTED
+from slamhive.engine import LoadConditions
+from slamhive.model.base import plural
 from slamhive.model.canonical import digest, normalize
 from slamhive.model.errors import InputError
 from slamhive.reporting.gate.baseline import Baseline, BaselineCell, columns_of
@@ -267,20 +266,26 @@ class _Course:
 
     def look(self, *, last: bool) -> None:
         """Decide by what there is."""
-        models = set().union(*(one.processors for one in self._rows))
-        known = self._comparing.known.processor
-        if models and models != {known}:
-            here = ", ".join(sorted(models))
-            self._leave_out(
-                [one for one in self.gate.figures if one.is_load],
-                f"recorded on {known or 'an unknown processor'}, this is {here}",
-            )
+        if why := self._unlike_machines():
+            self._leave_out([one for one in self.gate.figures if one.is_load], why)
         kinds = {pair.before.memory for pair in self._pairs}
         kinds |= {cell.memory for one in self._rows for cell in one.cells.values()}
         if len(kinds - {None}) > 1:
             two = " and ".join(sorted(str(kind) for kind in kinds if kind))
             self._leave_out([one for one in self.gate.figures if one.name == MEMORY], f"measured as {two}")
         self.gate.look(self.cells, last=last)
+
+    def _unlike_machines(self) -> str | None:
+        """Return the reason why loads can't be compared; None where nothing says so."""
+        conditions = set().union(*(one.conditions for one in self._rows))
+        recorded = self._comparing.known
+        models = {one.processor for one in conditions if one.processor is not None}
+        if models and models != {recorded.processor}:
+            here = ", ".join(sorted(models))
+            return f"recorded on {recorded.processor or 'an unknown processor'}, this is {here}"
+        before = LoadConditions.on(recorded.processor, recorded.machine)
+        unlike = {words for one in conditions for words in before.differences(one)}
+        return f"recorded and measured with {', '.join(sorted(unlike))}" if unlike else None
 
     def _leave_out(self, figures: Sequence[GateFigure], why: str) -> None:
         """Compare figures no more; what was asked for by name is told as what nobody can tell."""

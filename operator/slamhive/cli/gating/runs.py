@@ -9,36 +9,37 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from slamhive.analysis.derived import with_derived
 from slamhive.analysis.gating.figures import (
     COVERAGE,
     FAILURES,
     MARGINS,
     GateFigure,
 )
-from slamhive.analysis.grouping import where_equal
-from slamhive.analysis.measuring import settings_hash
+from slamhive.analysis.grouping import CONDITIONS
+from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
+from slamhive.analysis.searches.seen import records_frame
 from slamhive.cli.parts.checked import check_files
-from slamhive.cli.parts.console import (
-    plural,
-)
 from slamhive.cli.parts.exits import INTERRUPTED
 from slamhive.cli.parts.planning import planned
 from slamhive.cli.parts.progress import Naming
 from slamhive.cli.running import drive, measure_all
+from slamhive.engine import LoadConditions
 from slamhive.local.running.choosing import RunChoice
 from slamhive.local.running.runner import Job
-from slamhive.model.base import NAME_LIMIT
+from slamhive.model.base import NAME_LIMIT, plural
 from slamhive.model.canonical import normalize
 from slamhive.model.errors import InputError
 from slamhive.model.results import Outcome, Phase, Reason
 from slamhive.model.sweep import Sweep
 from slamhive.plan import local_uid
 from slamhive.reporting.gate.baseline import BaselineCell
-from slamhive.tables.reading import read_archive
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
+    from datetime import datetime
 
+    from slamhive.analysis.frame import Frame
     from slamhive.local.home.catalog import Workshop
     from slamhive.local.running.workbench import Workbench
     from slamhive.plan import Plan
@@ -60,7 +61,7 @@ class GateWish:
         repetitions: of a setting at most; None for the sweep's own.
         budget: seconds after which none is started.
         parallelism: runs at the same time at most.
-        rerun: whether finished runs are done again.
+        since: runs that began earlier are done again; None: finished ones are taken.
         figures: what is looked at.
         chosen: whether the figures were named.
     """
@@ -68,7 +69,7 @@ class GateWish:
     repetitions: int | None
     budget: float | None
     parallelism: int | None
-    rerun: bool
+    since: datetime | None
     figures: Sequence[GateFigure]
     chosen: bool
 
@@ -100,6 +101,14 @@ class GateSweep:
     def uid(self) -> str:
         """Identity of the sweep of its runs."""
         return local_uid(self.sweep)
+
+    def begun_since(self, bench: Workbench, time: datetime) -> set[int]:
+        """Return the numbers of its finished runs that began since a time."""
+        numbers = {Job(self.sweep, self.uid, self.points).run_uid(k): k for k in range(len(self.points))}
+        records = bench.archive.runs({"sweep_uid": self.uid})
+        return {
+            numbers[one.uid] for one in records if one.uid in numbers and one.started and one.started >= time
+        }
 
     @property
     def rows(self) -> range:
@@ -174,8 +183,10 @@ def do_round(
             sweep = sweep.replace(spec=sweep.spec.replace(budget=sweep.spec.budget.replace(wall_time=text)))
         job = Job(sweep, test.uid, test.points)
         job.asked, test.batch = test.batch, set()
+        if wish.since is not None:
+            job.again = job.asked - test.begun_since(bench, wish.since)
         jobs.append(job)
-    code = drive(jobs, bench, RunChoice(rerun=wish.rerun), wish.parallelism)
+    code = drive(jobs, bench, RunChoice(), wish.parallelism)
     return code, code != INTERRUPTED and measure_all(bench, jobs, [])
 
 
@@ -186,27 +197,26 @@ class GateRows:
     Attributes:
         cells: by row of the plan.
         faults: sentences on runs in whose way the machine was.
-        processors: models.
+        conditions: those that load was measured under.
         reused: number of results that were taken over.
         disturbed: number of runs beside other work.
     """
 
     cells: dict[int, BaselineCell]
     faults: list[str]
-    processors: set[str]
+    conditions: set[LoadConditions]
     reused: int
     disturbed: int
 
 
 def collect(test: GateSweep, bench: Workbench, columns: Iterable[str]) -> GateRows:
     """Return the finished ones of the runs that were asked for, row by row."""
-    frame = read_archive(bench.home.archive_url, bench.home.path / "cache")
-    frame = frame.select(where_equal(frame, "sweep.uid", test.uid))
+    wanted = settings_hash(test.sweep.spec.evaluation)
+    frame = _own_runs(test, bench, wanted)
     uids = Job(test.sweep, test.uid, test.points)
     places = {
         uids.run_uid(test.index(row, k)): (row, k) for row, count in test.asked.items() for k in range(count)
     }
-    wanted = settings_hash(test.sweep.spec.evaluation)
     names = (
         "uid",
         "status",
@@ -216,7 +226,7 @@ def collect(test: GateSweep, bench: Workbench, columns: Iterable[str]) -> GateRo
         "alignment",
         "dataset",
         "provenance.datasetSha256",
-        "provenance.cpuModel",
+        *CONDITIONS,
         "provenance.reusedFrom",
         "usage.memory.kind",
         "disturbed",
@@ -226,7 +236,7 @@ def collect(test: GateSweep, bench: Workbench, columns: Iterable[str]) -> GateRo
     found: dict[int, list[tuple[int, int]]] = defaultdict(list)
     faults, reused, disturbed = [], 0, 0
     for line, uid in enumerate(about["uid"]):
-        if uid not in places or about["settings"][line] not in {None, wanted}:
+        if uid not in places:
             continue
         row, repetition = places[uid]
         reason = about["reason"][line]
@@ -266,8 +276,18 @@ def collect(test: GateSweep, bench: Workbench, columns: Iterable[str]) -> GateRo
                 if not all(math.isnan(of[line]) for line in lines)
             },
         )
-    models = {model for model in about["provenance.cpuModel"] if model is not None}
-    return GateRows(cells, faults, models, reused, disturbed)
+    conditions = {LoadConditions(*row) for row in zip(*(about[name] for name in CONDITIONS), strict=True)}
+    return GateRows(cells, faults, conditions - {LoadConditions(None)}, reused, disturbed)
+
+
+def _own_runs(test: GateSweep, bench: Workbench, wanted: str) -> Frame:
+    """Return the table of a test's own runs alone, with the results of its settings."""
+    found = [
+        record.replace(results=[one for one in record.results if one.values.get(SETTINGS_KEY) == wanted])
+        for record in bench.archive.runs({"sweep_uid": test.uid})
+    ]
+    frame = records_frame(found)
+    return with_derived({name: frame.column(name) for name in frame.stored}, len(frame))
 
 
 def number_or_none(value: float) -> float | None:

@@ -122,15 +122,6 @@ def bytes_text(count: float | None) -> str:
     return f"{count:.1f} GiB"
 
 
-def plural(count: int, noun: str) -> str:
-    """Return a count with its noun.
-
-    >>> plural(1, "run"), plural(3, "run")
-    ('1 run', '3 runs')
-    """
-    return f"{count:,} {noun}{'' if count == 1 else 's'}"
-
-
 def listing(names: Sequence[str], most: int = 6) -> str:
     """Return the first few names of a list."""
     return ", ".join(names[:most]) + (", …" if len(names) > most else "")

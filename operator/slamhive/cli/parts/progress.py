@@ -13,12 +13,13 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 from rich.text import Text
 
-from slamhive.cli.parts.console import bytes_text, emit, err, plural, speaks_json
+from slamhive.cli.parts.console import bytes_text, emit, err, speaks_json
 from slamhive.cli.parts.searches import extent_text, progress_text, search_values
 from slamhive.engine import PointState
 from slamhive.local.running.estimating import Estimate
 from slamhive.local.running.execution import RunStep
 from slamhive.local.running.outlook import RunStanding, sentences
+from slamhive.model.base import plural
 from slamhive.model.results import Phase
 from slamhive.tables.text import short_name
 from slamhive.tables.words import disproportion

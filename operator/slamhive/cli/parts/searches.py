@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 from slamhive.analysis.metrics import name_of
 from slamhive.analysis.searches.seen import objective_problems
 from slamhive.archive import Archive
-from slamhive.cli.parts.console import plural
 from slamhive.engine import TrialStanding, decide_search
 from slamhive.local.home.folder import Home
 from slamhive.local.running.runner import Job
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError
 from slamhive.model.search import Goal, SettingAggregate, Trial
 from slamhive.plan import SearchPlan, local_uid

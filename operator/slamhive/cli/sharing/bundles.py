@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from slamhive.bridges.bundles.contents import MEASURED
 from slamhive.bridges.bundles.making import BundleOrder, bundle
 from slamhive.bridges.bundles.opening import opened_bundle
 from slamhive.bridges.bundles.repeating import (
@@ -24,12 +25,13 @@ from slamhive.bridges.bundles.repeating import (
     manifest_of,
 )
 from slamhive.bridges.bundles.verifying import Mismatch, Verification, verify
-from slamhive.cli.parts.console import bytes_text, complain, open_workbench, out, plural, remark, warn
+from slamhive.cli.parts.console import bytes_text, complain, open_workbench, out, remark, warn
 from slamhive.cli.parts.exits import FAILED, INTERRUPTED
 from slamhive.cli.parts.planning import planned, sweeps_of
 from slamhive.cli.parts.tables import show, write_json
 from slamhive.cli.parts.waiting import Work
 from slamhive.local.home.folder import Home
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError, SlamHiveError
 from slamhive.model.evaluation import Evaluation, EvaluationSettings
 from slamhive.model.loading import load_file
@@ -133,7 +135,7 @@ def verify_bundle(
     Example: slamhive verify study.zip --repeat 2
     """
     home = Home.from_environment()
-    with opened_bundle(file) as opened:
+    with opened_bundle(file, later=MEASURED) as opened:
         bench = open_workbench(home)
         with bench.archive:
             with Work(f"verifying {file.name}") as work:

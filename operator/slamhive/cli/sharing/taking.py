@@ -22,21 +22,13 @@ from slamhive.bridges.foreign import (
     sensors_of,
     take_trajectories,
 )
-from slamhive.cli.parts.console import (
-    command_name,
-    complain,
-    open_archive,
-    open_workbench,
-    out,
-    plural,
-    remark,
-)
+from slamhive.cli.parts.console import command_name, complain, open_archive, open_workbench, out, remark
 from slamhive.cli.parts.exits import FAILED
 from slamhive.cli.parts.waiting import Work
 from slamhive.data.store.groundtruth import GroundTruthPoses
 from slamhive.data.store.truthfolders import catalog_name
 from slamhive.local.home.folder import Home
-from slamhive.model.base import plain_name, require_name
+from slamhive.model.base import plain_name, plural, require_name
 from slamhive.model.errors import InputError
 from slamhive.model.evaluation import Alignment, EvaluationSettings
 from slamhive.model.sensors import SensorMode

@@ -131,7 +131,7 @@ def meant(snapshot: Snapshot, pairs: Pairs, by: str | None, which: str) -> Meant
     if len(frame) > MOST_RESULTS:
         raise BadRequest(
             f"{len(frame):,} results are selected, and at most {MOST_RESULTS} are measured again at a time: "
-            "choose by dataset, evaluation, sweep or a condition",
+            "choose by dataset, evaluation or sweep",
             "where",
         )
     groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from slamhive.analysis.boards import COMPETITORS, Window
 from slamhive.analysis.comparing import compare
 from slamhive.analysis.importance import importance
+from slamhive.analysis.machines.nodes import compare_nodes, kind_text
 from slamhive.analysis.pareto import pareto
 from slamhive.analysis.repeating import repeatability, suspects
 from slamhive.dashboard.answering.encoding import Body, plain
@@ -250,6 +251,19 @@ def suspicions(snapshot: Snapshot, pairs: Pairs) -> Body:
         {"revision": snapshot.revision, "rows": len(frame), "items": items, "notes": list(chosen.notes)},
         lambda: as_columns([_flat(dict(item)) for item in items]),
     )
+
+
+def slow_nodes(snapshot: Snapshot, pairs: Pairs) -> Body:
+    """Return nodes beside others of their kind, by the load of equal runs."""
+    chosen = select(snapshot.frame, pairs, RESERVED, each=True)
+    found = compare_nodes(chosen.frame)
+    content = {
+        "revision": snapshot.revision,
+        "rows": len(chosen.frame),
+        "items": [{**one.as_json(), "kind": kind_text(one.kind)} for one in found.nodes],
+        "notes": [*found.notes, *chosen.notes],
+    }
+    return Body(content, lambda: as_columns([one.flat() for one in found.nodes]))
 
 
 def published(snapshot: Snapshot, pairs: Pairs, home: Path | None) -> Body:

@@ -17,6 +17,8 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from slamhive import __version__
+from slamhive.analysis.grouping import where_equal
+from slamhive.analysis.repeating import repeatability, spread_within
 from slamhive.analysis.selection import first_rows
 from slamhive.dashboard.answering.encoding import encode_csv, encode_json
 from slamhive.dashboard.answers.catalog import sweep_names
@@ -244,7 +246,11 @@ class _Building:
         found = self._answers.get(canonical(address(f"{questions.ANALYSIS}/leaderboard", *asked)))
         seen: set[str] = set()
         for board in sorted((found or {}).get("boards") or [], key=lambda one: -len(one["entries"])):
-            for place in places(board, days):
+            of_board = np.ones(len(frame), dtype=bool)
+            for name, value in board["facets"].items():
+                of_board &= where_equal(frame, name, value)
+            repetitions, _ = repeatability(frame.select(of_board), questions.ERROR)
+            for place in places(board, days, spread_within(repetitions, names)):
                 if place.file not in seen:
                     seen.add(place.file)
                     yield place

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 from xml.sax.saxutils import escape, quoteattr
 
+from slamhive.model.base import plural
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
@@ -31,7 +33,7 @@ class Place:
         rank: its rank among ``of`` competitors there; None where all its runs failed.
         of: competitors.
         median: of the error, m.
-        spread: standard deviation of the error over its runs, m; None of a single one.
+        spread: standard deviation of the error within its settings, m; None where each ran once.
         runs: that count.
         date: of its last run, as YYYY-MM-DD.
     """
@@ -72,12 +74,17 @@ def _plain(name: str) -> str:
     return plain if plain and plain == name.lower() else f"{plain or 'x'}-{uuid.uuid5(_SPACE, name).hex[:6]}"
 
 
-def places(board: Mapping[str, Any], dates: Mapping[tuple[str, ...], str]) -> Iterator[Place]:
+def places(
+    board: Mapping[str, Any],
+    dates: Mapping[tuple[str, ...], str],
+    spreads: Mapping[tuple[str, ...], float],
+) -> Iterator[Place]:
     """Go through the places of a leaderboard's competitors.
 
     Args:
         board: of /api/v1/analysis/leaderboard.
         dates: when the last run ended, by algorithm, sensors and dataset.
+        spreads: of the error within settings, m, by the same.
     """
     for entry in board["entries"]:
         keys = entry["keys"]
@@ -89,8 +96,7 @@ def places(board: Mapping[str, Any], dates: Mapping[tuple[str, ...], str]) -> It
                 for standing in other["datasets"]
                 if standing["dataset"] == one["dataset"]
             ]
-            summary = one["summary"] or {}
-            spread = summary.get("std") if (summary.get("n") or 0) > 1 else None
+            key = (*(str(value) for value in keys.values()), str(one["dataset"]))
             yield Place(
                 name,
                 keys,
@@ -98,9 +104,9 @@ def places(board: Mapping[str, Any], dates: Mapping[tuple[str, ...], str]) -> It
                 one["rank"],
                 len(ranked),
                 one["median"],
-                spread,
+                spreads.get(key),
                 one["n"],
-                dates.get((*(str(value) for value in keys.values()), str(one["dataset"])), ""),
+                dates.get(key, ""),
             )
 
 
@@ -167,7 +173,7 @@ def feed(
     entries = [
         _FeedEntry(
             f"sweep {one['name']}",
-            f"Sweep {one['name']}: {_runs(one['runs'])}",
+            f"Sweep {one['name']}: {plural(one['runs'], 'run')}",
             one.get("finished") or "",
             f"#/sweeps/{_quoted(one['name'])}",
             " on ".join(", ".join(map(str, one.get(name) or ())) for name in ("algorithms", "datasets")),
@@ -180,7 +186,7 @@ def feed(
             f"{one.competitor} on {one.dataset}: {one.said}",
             f"{one.date}T00:00:00+00:00" if one.date else "",
             f"#/leaderboard?dataset={_quoted(one.dataset)}",
-            _runs(one.runs),
+            plural(one.runs, "run"),
         )
         for one in ranks
     ]
@@ -197,10 +203,6 @@ def feed(
         f'<link rel="self" href={quoteattr(f"{base}feed.xml")}/>{whole}</feed>\n'
     )
     return atom.encode(), updated
-
-
-def _runs(count: int) -> str:
-    return f"{count} run{'' if count == 1 else 's'}"
 
 
 def _fit(text: str) -> str:

@@ -45,7 +45,7 @@ MOST_CROSSED = 3
 _SETTINGS = frozenset({"parameters", "input", "resources"})
 _NUMBERS = frozenset({"number", "integer"})
 _SUBJECTS = ("algorithm", "sensors", "dataset")
-_TABLES = (
+PAPER_TABLES = (
     (
         "sensors,algorithm,dataset",
         "ate.rmse,usage.cpu.meanCores,usage.cpu.maxCores,usage.memory.peakBytes",
@@ -68,6 +68,7 @@ class AskedColumns:
 
     Attributes:
         measures: figures that drawings are made of.
+        axis: what Explore draws over by itself, as a list of one, if groups can be told by it.
         settings: settings that vary over few values, the most varied first.
         rows: how many there are.
         features: the parameter that is a number of features, if one varies.
@@ -89,6 +90,11 @@ class AskedColumns:
             for name in answer["varied"]
             if self._items[name]["kind"] in _NUMBERS and self._items[name]["distinct"] > 1
         ]
+        # As pages/explore.js begins: a setting that some runs lack would leave those out.
+        whole = [name for name in self._items if name in self.varied and self._count(name) == answer["rows"]]
+        whole.sort(key=lambda name: -self._items[name]["distinct"])
+        axis = [*whole, *([cpu] if cpu and self.varies(cpu) else [])][:1]
+        self.axis = [name for name in axis if self._items[name]["distinct"] <= MOST_VALUES]
         asked = [one for one in answer["items"] if one["group"] in _SETTINGS]
         asked = [one for one in asked if 1 < one["distinct"] <= MOST_VALUES]
         asked.sort(key=lambda one: (one["name"] not in self.varied, -one["distinct"]))
@@ -129,6 +135,7 @@ def general(names: Mapping[str, Sequence[str]]) -> Iterator[str]:
             if kind == "sweeps":
                 yield address(f"{API}/{kind}/{escaped(name)}/search")
     yield from (f"{API}/evaluations", f"{ANALYSIS}/suspects", f"{ANALYSIS}/suspects/truth")
+    yield f"{ANALYSIS}/suspects/nodes"
 
 
 def views(columns: AskedColumns, sweeps: Sequence[str]) -> list[View]:
@@ -149,13 +156,13 @@ def of_view(view: View, columns: AskedColumns) -> Iterator[str]:
     for name in ("importance", "repeatability"):
         yield address(f"{ANALYSIS}/{name}", *view, ("metric", ERROR))
     of_sweep = bool(view) and view[0][0] == "sweep"
-    for name in ("robustness", "suspects", *(["timeline"] if of_sweep or not view else [])):
+    for name in ("robustness", "suspects", "suspects/nodes", *(["timeline"] if of_sweep or not view else [])):
         yield address(f"{ANALYSIS}/{name}", *view)
     yield address(f"{ANALYSIS}/versions", *view, ("metric", ERROR), tracked)
     if columns.rows <= MANY:
         yield address(f"{ANALYSIS}/aggregate", *view, ("metrics", ERROR), tracked)
     apart = columns.varies("dataset")
-    for by in ("algorithm", *columns.varied[:1]):
+    for by in ("algorithm", *columns.axis):
         joined = ",".join(dict.fromkeys([by, "algorithm"]))
         yield address(f"{ANALYSIS}/aggregate", *view, ("by", joined), ("metrics", ERROR), tracked)
     if of_sweep:
@@ -209,14 +216,14 @@ def _with_conditions(columns: AskedColumns) -> Iterator[str]:
         for metrics in (ERROR, ",".join([ERROR, *loads])):
             yield address(f"{ANALYSIS}/aggregate", *asked, ("metrics", metrics), ("outcomes", "tracked"))
     if "slam-hive" in columns.names("label.source"):
-        for by, metrics, where in _TABLES:
+        for by, metrics, where in PAPER_TABLES:
             chosen = ("where", where), ("by", by), ("metrics", metrics), ("outcomes", "all")
             yield address(f"{ANALYSIS}/aggregate", *chosen)
 
 
 def conditions(columns: AskedColumns) -> list[str]:
     """Return the conditions that pages put by themselves, as they put them."""
-    found = [where for _, _, where in _TABLES] + ["superseded is not null", *_PLAYED]
+    found = [where for _, _, where in PAPER_TABLES] + ["superseded is not null", *_PLAYED]
     found += [f"{_quoted(name)} is not null" for name in columns.features]
     return found + [f"tags contains '{tag}'" for tag in columns.tags]
 

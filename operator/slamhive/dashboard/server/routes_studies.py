@@ -152,6 +152,15 @@ async def suspects(
     return await service_of(request).answer(request, lambda data: studies.suspicions(data, filters))
 
 
+@routes.get("/suspects/nodes", summary="Nodes that need more CPU time than others of their kind")
+async def suspects_of_nodes(
+    request: Request,
+    filters: Filters,
+) -> Response:
+    """Ratios of nodes' CPU time for equal runs, with an interval that holds for all of them together."""
+    return await service_of(request).answer(request, lambda data: studies.slow_nodes(data, filters))
+
+
 @routes.get("/suspects/truth", summary="Stretches of ground truth that runs contradict together")
 async def suspects_of_truth(
     request: Request,

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.contract.files import read_regular
 from slamhive.local.home.underway import runs_under_way
-from slamhive.local.programs.cores import processors_text
 from slamhive.model.results import Phase
+from slamhive.monitor.measuring.machine import processors_text
 from slamhive.runfiles.artifacts import ArtifactFolder
 from slamhive.runfiles.clocks import configuration_of
 

@@ -53,7 +53,7 @@ _MAGIC_7Z = b"7z\xbc\xaf\x27\x1c"
 _PASSED_OVER = ("__MACOSX", ".DS_Store")
 
 
-_DAMAGES = (
+ARCHIVE_DAMAGES = (
     *(zipfile.BadZipFile, tarfile.TarError, zlib.error, lzma.LZMAError, gzip.BadGzipFile, EOFError),
     *(NotImplementedError, ValueError, RecursionError, MemoryError),
 )
@@ -154,7 +154,7 @@ def unpack(
     """
     out.mkdir(parents=True, exist_ok=True)
     room = shutil.disk_usage(out).free - LEFT_BYTES
-    limit = min(_most_bytes(archive), max(room, 0))
+    limit = min(most_bytes(archive), max(room, 0))
     work = _Unpacking(out, limit, progress)
     title = title or archive.name
     with disk_words(title, out):
@@ -162,7 +162,7 @@ def unpack(
         _follow_links(title, work)
 
 
-def _most_bytes(archive: Path) -> int:
+def most_bytes(archive: Path) -> int:
     """Return the bytes that an archive may grow to."""
     known = archive.stat()
     # Of its space on the disk: one that was fetched in parts has holes.
@@ -181,7 +181,7 @@ def _unpack(archive: Path, title: str, wanted: Iterable[Sequence[str]], work: _U
     try:
         with _opened(archive, title) as members:
             for member in members:
-                name = _checked(member.name, title)
+                name = checked_name(member.name, title)
                 if len(seen) <= _SHOWN:
                     seen.setdefault("/".join(PurePosixPath(name).parts[:2]))
                 if name in inner:
@@ -190,11 +190,11 @@ def _unpack(archive: Path, title: str, wanted: Iterable[Sequence[str]], work: _U
                         _write(member, title, aside, work)
                         _unpack(aside, f"{title}: {name}", inner[name], work)
                     missing.discard(name)
-                matching = next((prefix for prefix in here if _is_in(name, prefix)), None)
+                matching = next((prefix for prefix in here if is_in(name, prefix)), None)
                 if matching is not None:
                     missing.discard(matching)
                     _place(member, name, title, work)
-    except _DAMAGES as error:
+    except ARCHIVE_DAMAGES as error:
         raise DamagedArchiveError(f"{title}: {_damage(archive, error)}") from None
     if missing:
         some = printable(", ".join(list(seen)[:_SHOWN])) + (", …" if len(seen) > _SHOWN else "")
@@ -267,7 +267,7 @@ def _by_bsdtar(archive: Path, title: str) -> Iterator[Iterator[ArchiveMember]]:
 
 
 def _tar(mode: str, file: Any, archive: Path) -> tarfile.TarFile:
-    found: tarfile.TarFile = _Tar.open(None, mode, file, most=_most_bytes(archive))  # type: ignore[call-overload]
+    found: tarfile.TarFile = _Tar.open(None, mode, file, most=most_bytes(archive))  # type: ignore[call-overload]
     return found
 
 
@@ -301,7 +301,7 @@ def _of_tar(tar: tarfile.TarFile, info: tarfile.TarInfo) -> ArchiveMember:
     return ArchiveMember(info.name, "device", content)
 
 
-def _checked(name: str, title: str) -> str:
+def checked_name(name: str, title: str) -> str:
     """Return a member's name without a leading ``./``; one that leads outside is refused."""
     path = PurePosixPath(name.replace("\\", "/"))
     if path.is_absolute() or ".." in path.parts or "\0" in name:
@@ -312,7 +312,8 @@ def _checked(name: str, title: str) -> str:
     return str(path)
 
 
-def _is_in(name: str, prefix: str) -> bool:
+def is_in(name: str, prefix: str) -> bool:
+    """Tell whether a member is a file or in a folder; an empty name is all but what some systems add."""
     if any(part in _PASSED_OVER for part in PurePosixPath(name).parts):
         return False
     return not prefix or name == prefix or name.startswith(prefix.rstrip("/") + "/")
@@ -357,9 +358,14 @@ def _refuse_folder(target: Path, name: str, title: str) -> None:
 def _refuse_size(title: str, work: _Unpacking) -> None:
     if shutil.disk_usage(work.out).free < 2 * LEFT_BYTES:
         raise SystemFault(f"{title}: the disk has no room for more than {work.limit >> 20} MiB of it")
-    raise DataError(
-        f"{title}: grows to more than {work.limit >> 20} MiB, {MOST_RATIO} times its size: refused as no "
-        "archive of data does"
+    raise DataError(growth_problem(title, work.limit))
+
+
+def growth_problem(title: str, limit: int) -> str:
+    """Return the complaint about an archive that unpacks to more bytes than the limit."""
+    return (
+        f"{title}: grows to more than {limit >> 20} MiB, {MOST_RATIO} times its size: refused as no archive "
+        "of data does"
     )
 
 
@@ -415,7 +421,7 @@ def _copy(name: str, path: str, title: str, work: _Unpacking) -> None:
         _count(title, work)
         if file.is_dir():
             continue
-        _checked(str(place.relative_to(work.out)), title)
+        checked_name(str(place.relative_to(work.out)), title)
         work.written += file.stat().st_size
         if work.written > work.limit:
             _refuse_size(title, work)

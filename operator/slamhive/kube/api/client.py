@@ -163,6 +163,38 @@ class Api(Transport):
         answer = await self.json(request, attempts=1)
         return [*(answer.get("items") or ())]
 
+    async def quotas(self, namespace: str) -> Objects:
+        """Return the ResourceQuotas of a namespace.
+
+        Raises:
+            Forbidden: the account may not see them.
+        """
+        return await self._others(
+            "resourcequotas", f"/api/v1/namespaces/{namespace}/resourcequotas", namespace
+        )
+
+    async def nodes(self) -> Objects:
+        """Return the cluster's nodes.
+
+        Raises:
+            Forbidden: the account may not see them.
+        """
+        return await self._others("nodes", "/api/v1/nodes", "of the cluster")
+
+    async def priority_classes(self) -> Objects:
+        """Return the cluster's PriorityClasses.
+
+        Raises:
+            Forbidden: the account may not see them.
+        """
+        path = "/apis/scheduling.k8s.io/v1/priorityclasses"
+        return await self._others("priorityclasses.scheduling.k8s.io", path, "of the cluster")
+
+    async def _others(self, resource: str, path: str, target: str) -> Objects:
+        """Return all objects of a kind that the operator doesn't watch; few are expected."""
+        answer = await self.json(Request("list", resource, target, "GET", path), attempts=1)
+        return [*(answer.get("items") or ())]
+
     async def served(self, group: str, version: str) -> frozenset[str]:
         """Return the plurals of the resources of a group and version; none when the group is not there."""
         path = f"/apis/{group}/{version}"
@@ -171,6 +203,26 @@ class Api(Transport):
         except NotFound:
             return frozenset()
         return frozenset(resource["name"] for resource in answer.get("resources") or ())
+
+    async def workloads(self, namespace: str) -> Objects:
+        """Return Kueue's Workloads of a namespace; without their pod templates, which are most of them.
+
+        Raises:
+            Forbidden, NotFound: the account may not list them, or there is no Kueue.
+        """
+        path = f"/apis/kueue.x-k8s.io/v1beta2/namespaces/{namespace}/workloads"
+        items: Objects = []
+        following: str | None = None
+        while True:
+            query = {"limit": PAGE, "continue": following}
+            request = Request("list", "workloads.kueue.x-k8s.io", namespace, "GET", path, query=query)
+            answer = await self.json(request, attempts=1)
+            for item in answer.get("items") or ():
+                item.get("spec", {}).pop("podSets", None)
+                items.append(item)
+            following = (answer.get("metadata") or {}).get("continue")
+            if not following:
+                return items
 
     async def schemas(self, group: str, version: str) -> dict[str, Object]:
         """Return the schemas of a group's kinds, by kind; none where the account may not see them.

@@ -14,8 +14,8 @@ import json
 import re
 from typing import TYPE_CHECKING, Any
 
-from slamhive.kube.api.kinds import MANAGER, Label
-from slamhive.model.base import GROUP
+from slamhive.kube.api.kinds import MANAGER, Label, Role
+from slamhive.model.base import GROUP, queue_of
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -90,6 +90,13 @@ def passed_on(values: Mapping[str, str] | None, settings: Settings) -> dict[str,
     allowed = settings.passed_labels
     prefixes = tuple(name for name in allowed if name.endswith("/"))
     return {key: value for key, value in (values or {}).items() if key in allowed or key.startswith(prefixes)}
+
+
+def _queue(labels: Mapping[str, str]) -> str | None:
+    try:
+        return queue_of(labels)
+    except ValueError as error:
+        raise InputError(f"metadata.labels: {error}") from None
 
 
 def annotation(text: str, what: str) -> str:
@@ -231,6 +238,33 @@ def pod_spec(settings: Settings) -> Manifest:
     return body | {key: value for key, value in optional.items() if value}
 
 
+_APART, _REQUIRED = "podAntiAffinity", "requiredDuringSchedulingIgnoredDuringExecution"
+_FROM_RUNS = {
+    "labelSelector": {"matchLabels": {Label.ROLE.value: Role.RUN.value}},
+    "namespaceSelector": {},
+    "topologyKey": "kubernetes.io/hostname",
+}
+"""Term that keeps a pod off nodes with runs of any namespace, and runs that come later off its own."""
+
+
+WHOLE_NODE = "slamhive.io/node"
+"""Name of the node itself among what a run asks of it: each has one, for a run that shares it with none."""
+
+
+def away_from_runs(affinity: Mapping[str, Any]) -> Manifest:
+    """Return an affinity with which a pod shares its node with no run."""
+    apart = affinity.get(_APART) or {}
+    return {**affinity, _APART: {**apart, _REQUIRED: [*(apart.get(_REQUIRED) or ()), _FROM_RUNS]}}
+
+
+def beside_runs(affinity: Mapping[str, Any]) -> Manifest:
+    """Return the affinity of a run's pod without what keeps it away from runs."""
+    apart = dict(affinity.get(_APART) or {})
+    apart[_REQUIRED] = [term for term in apart.get(_REQUIRED) or () if term != _FROM_RUNS]
+    found = {**affinity, _APART: {name: terms for name, terms in apart.items() if terms}}
+    return {name: rules for name, rules in found.items() if rules}
+
+
 def job(
     namespace: str,
     name: str,
@@ -246,6 +280,8 @@ def job(
 ) -> Manifest:
     """Return a Job of one pod that is never repeated, but for what takes a pod from outside.
 
+    One whose labels name a queue is made suspended.
+
     Args:
         namespace: where it goes.
         name: its name.
@@ -259,7 +295,7 @@ def job(
         ttl_seconds: how long it stays when it has finished; None: as long as its owners.
 
     Raises:
-        InputError: the annotations don't fit into an object.
+        InputError: the annotations don't fit into an object, or no queue can have the name that they have.
     """
     ours = {str(Label.MANAGED_BY): MANAGER} | {key: label_value(value) for key, value in labels.items()}
     all_labels = dict(passed_labels or {}) | ours
@@ -290,6 +326,9 @@ def job(
             "spec": pod,
         },
     }
+    if _queue(all_labels) is not None:
+        # Whoever keeps the queue starts it; nobody here ever does.
+        spec["suspend"] = True
     if ttl_seconds is not None:
         spec["ttlSecondsAfterFinished"] = ttl_seconds
     return {"apiVersion": "batch/v1", "kind": "Job", "metadata": metadata, "spec": spec}

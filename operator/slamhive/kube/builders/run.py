@@ -16,8 +16,10 @@ from slamhive.contract.posefiles import FRAMES
 from slamhive.jobs.requests import RenderRequest
 from slamhive.kube.api.kinds import Kind, reference
 from slamhive.kube.builders.common import (
+    WHOLE_NODE,
     Manifest,
     annotation,
+    away_from_runs,
     claim,
     container,
     downward,
@@ -107,6 +109,20 @@ def _as_yaml(text: str) -> str:
     return str(yaml.dump(json.loads(text), Dumper=_Dumper, sort_keys=False, allow_unicode=True))
 
 
+def least_requests(resources: Mapping[str, Any], settings: Settings) -> dict[str, float]:
+    """Return what a run's pod asks a node for at least, by resource: a player may come on top.
+
+    Args:
+        resources: ``resources`` of its resolved spec.
+        settings: the operator's.
+    """
+    monitor = _MONITOR_RESOURCES["requests"]
+    asked = {name: quantity(monitor[name]) + quantity(resources[name]) for name in ("cpu", "memory")}
+    if resources.get("exclusiveNodes"):
+        asked[WHOLE_NODE] = 1.0
+    return asked | ({settings.pods.gpu_resource: float(gpus)} if (gpus := resources.get("gpu")) else {})
+
+
 def job_name(run: str, attempt: int) -> str:
     """Return the name of an attempt's Job."""
     return joined_name(run, str(attempt))
@@ -186,6 +202,8 @@ def run_job(
         "containers": [_algorithm(plan, settings), *companion.containers],
         "volumes": [*_volumes(plan, settings), *_render_volumes(plan), *companion.volumes],
     }
+    if spec["resources"].get("exclusiveNodes"):
+        pod["affinity"] = away_from_runs(settings.pods.affinity)
     # Part by part: those that the runs of a Sweep have in common are written once.
     parts = ({name: value} for name, value in configuration.as_json().items())
     text = "".join(_as_yaml(json.dumps(part)) for part in parts)

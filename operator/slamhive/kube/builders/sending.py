@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from slamhive.jobs.send import COMMAND
 from slamhive.kube.builders.common import (
     Manifest,
+    beside_runs,
     claim,
     container,
     equal_resources,
@@ -77,7 +78,10 @@ def sender_job(
     )
     # A user's command can't read the operator's settings: how pods have to be here is taken from one of its
     # pods.
-    pod = {key: like[key] for key in _TAKEN if like.get(key)} | {
+    taken = {key: like[key] for key in _TAKEN if like.get(key)}
+    if affinity := beside_runs(taken.pop("affinity", {})):
+        taken["affinity"] = affinity
+    pod = taken | {
         "restartPolicy": "Never",
         "automountServiceAccountToken": False,
         "enableServiceLinks": False,

@@ -10,13 +10,15 @@ import asyncio
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
-from slamhive.archive import CatalogEntry
+from slamhive.analysis.measuring import settings_hash
 from slamhive.archive.remarks import Remarks
 from slamhive.contract.settled import FILES, is_settled
 from slamhive.kube.api.errors import Conflict
 from slamhive.kube.api.kinds import Key, Kind, Object, annotations_of, key_of
 from slamhive.kube.reconciling import variants
-from slamhive.kube.reconciling.sweep_runs import decode_points, point_of, state_of
+from slamhive.kube.reconciling.evaluation_status import is_owed
+from slamhive.kube.reconciling.run_status import archived_status
+from slamhive.kube.reconciling.sweep_runs import decode_points, is_archive_only, point_of, state_of
 from slamhive.kube.records import record_of, with_evaluations
 from slamhive.kube.status import result_field
 from slamhive.model.errors import SlamHiveError, SystemFault, UnknownNameError
@@ -25,7 +27,7 @@ from slamhive.model.evaluation import EvaluationSettings
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from slamhive.archive import Archive
+    from slamhive.archive import Archive, CatalogEntry
     from slamhive.kube.cluster import Cluster
     from slamhive.kube.reconciling.catalogue import Catalogue
     from slamhive.model.results import RunRecord
@@ -82,12 +84,16 @@ class KeptRuns:
 
     def has(self, run: Object) -> bool:
         """Tell whether a run is there as it is now."""
-        version: str = run["metadata"]["resourceVersion"]
-        return self.versions.get(run["metadata"]["uid"]) == version
+        return self.versions.get(run["metadata"]["uid"]) == _version_of(run)
 
     def add(self, run: Object) -> None:
         """Note that a run is there as it is now."""
-        self.versions[run["metadata"]["uid"]] = run["metadata"]["resourceVersion"]
+        self.versions[run["metadata"]["uid"]] = _version_of(run)
+
+
+def _version_of(run: Object) -> str:
+    """Return the version of a run, of which the API may not be told each result."""
+    return f"{run['metadata']['resourceVersion']}/{len(run['status'].get('results') or ())}"
 
 
 class Keeper:
@@ -131,6 +137,17 @@ class Keeper:
             kept.add(run)
         await self.keep(cluster, [run], EvaluationSettings(), kept)
 
+    async def recall(self, cluster: Cluster, runs: list[Object]) -> None:
+        """Have runs that are in the archive, and whose objects were not told so, the statuses that they had.
+
+        An operator that ended between the two leaves them behind.
+        """
+        untold = {run["metadata"]["uid"]: run for run in runs if is_archive_only(run) and not is_settled(run)}
+        for record in await in_thread(lambda: [*self._archive.by_uids(untold)]):
+            status, told = archived_status(record)
+            run = untold[record.uid]
+            await cluster.write_status(Kind.MAPPING_RUN, run, status, told, untold=True)
+
     async def forget(self, uids: Iterable[str]) -> None:
         """Remove runs from the archive, of which there are later ones."""
         if gone := [*uids]:
@@ -139,7 +156,7 @@ class Keeper:
     async def retire(
         self, cluster: Cluster, sweep: Sweep, body: Object, settled: list[Object], kept: KeptRuns
     ) -> list[float]:
-        """Archive and delete the oldest settled runs beyond the retention.
+        """Archive and delete settled runs beyond the retention: those made to be, then the oldest.
 
         Args:
             cluster: the cluster.
@@ -151,14 +168,23 @@ class Keeper:
         Returns:
             After how many seconds to come back.
         """
-        surplus = len(settled) - sweep.spec.retention.runs
-        if surplus <= 0:
+        told = [run for run in settled if not is_archive_only(run)]
+        told.sort(key=lambda run: run["status"].get("completionTime") or "")
+        evaluations = cluster.store.of(Kind.EVALUATION, sweep.metadata.namespace or "")
+        own = settings_hash(sweep.spec.evaluation)
+        due = [
+            run
+            for run in settled
+            if is_archive_only(run)
+            and not is_owed(run, own if run["spec"].get("evaluate", True) else None, evaluations)
+        ]
+        due += told[: max(0, len(told) - sweep.spec.retention.runs)]
+        if not due:
             return []
-        settled = sorted(settled, key=lambda run: run["status"].get("completionTime") or "")
         total = 1 + max(point_of(run) or 0 for run in settled)
         written = decode_points(body["status"].get("points"), total)
         # Only what the status says to be done may go: the bit is what remains of a run here.
-        going = [run for run in settled[:surplus] if written[point_of(run) or 0] == state_of(run)][:_AT_ONCE]
+        going = [run for run in due if written[point_of(run) or 0] == state_of(run)][:_AT_ONCE]
         # All are in the archive before the first is deleted: a crash in between leaves them in both, and the
         # next look deletes.
         await self.keep(cluster, going, sweep.spec.evaluation, kept)
@@ -171,8 +197,8 @@ class Keeper:
                 kept.retired.add(run["metadata"]["uid"])
             return gone
 
-        told = await asyncio.gather(*(delete(run) for run in going))
-        left = surplus - sum(told)
+        gone = await asyncio.gather(*(delete(run) for run in going))
+        left = len(due) - sum(gone)
         return [cluster.settings.sweep_write_seconds] if left else []
 
     def _records(
@@ -182,11 +208,10 @@ class Keeper:
         algorithm = dataset = found = None
         attributes: Object = {}
         try:
-            algorithm = CatalogEntry.of(
-                self._catalogue.algorithm(cluster.store, namespace, spec["algorithmRef"]["name"])
-            )
+            program = self._catalogue.algorithm(cluster.store, namespace, spec["algorithmRef"]["name"])
+            algorithm = self._catalogue.entry(program)
             found = self._catalogue.dataset(cluster.store, namespace, spec["datasetRef"]["name"])
-            dataset = CatalogEntry.of(found)
+            dataset = self._catalogue.entry(found)
             variant = run["status"].get("variant") or ""
             known = variants.described(cluster, Key(Kind.DATASET, namespace, found.name), variant) or {}
             attributes = known.get("attributes") or found.spec.known_attributes

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import ValidationError
 
+from slamhive.archive import CatalogEntry
 from slamhive.kube.api.kinds import Key, Kind
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.base import Resource, explain
@@ -52,6 +53,7 @@ class Catalogue:
     def __init__(self) -> None:
         self._parsed: dict[str, Resource | InputError] = {}
         self._hashes: dict[str, str] = {}
+        self._entries: dict[str, CatalogEntry] = {}
 
     def algorithm(self, store: Store, namespace: str, name: str) -> Algorithm:
         """Return an Algorithm.
@@ -86,6 +88,11 @@ class Catalogue:
         """Return the hash of what an Algorithm says of its program."""
         uid = algorithm.metadata.uid or ""
         return _remember(self._hashes, uid, lambda: algorithm_hash(algorithm.spec))
+
+    def entry(self, resource: Algorithm | Dataset) -> CatalogEntry:
+        """Return an Algorithm or Dataset as the archive keeps it."""
+        uid = resource.metadata.uid or ""
+        return _remember(self._entries, uid, lambda: CatalogEntry.of(resource))
 
     def _parse(self, kind: type[R], body: dict[str, Any]) -> R:
         uid = body["metadata"]["uid"]

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Disruptions of a run: evictions, preemptions, drains and lost nodes, counted in its status. Pure.
 
-A Job replaces a pod that was taken so, at first after 10 s, then later each time, up to 10 min. No retry is
-used up by it; a run that is taken again and again ends with a reason of its own.
+A Job replaces a pod that was taken so, at first after 10 s, then later each time, up to 10 min; one that a
+queue suspended, when the queue lets it in again. No retry is used up by it; a run that is taken again and
+again ends with a reason of its own.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import AttemptEnd, AttemptState
+from slamhive.kube.kueue import QUEUE_WAITS
 from slamhive.kube.observing import DISRUPTED, NO_POD
 from slamhive.kube.reports import clean
 from slamhive.model.results import Reason
@@ -37,11 +39,14 @@ class Disruptions:
     def of(cls, status: Mapping[str, Any], attempted: Attempted) -> Disruptions:
         """Return the disruptions that a status has counted, and those seen beyond."""
         count, last = status.get("disruptions") or 0, status.get("disruptedPod")
+        # The last one of those that stay, and the last one of those that don't.
+        known = (last or "").split()
         taken = [*attempted.disrupted]
-        fresh = taken[taken.index(last) + 1 :] if last in taken else taken
+        before = max((taken.index(uid) + 1 for uid in known if uid in taken), default=0)
+        fresh = taken[before:] + [uid for uid in attempted.put_off if uid not in {*known, *taken}]
         if not fresh or attempted.state is not AttemptState.RUNNING:
             return cls(count, last)
-        return cls(count + len(fresh), fresh[-1], is_news=True)
+        return cls(count + len(fresh), " ".join(dict.fromkeys(taken[-1:] + fresh[-1:])), is_news=True)
 
     @property
     def sentence(self) -> str:
@@ -55,6 +60,10 @@ class Disruptions:
         if self.count >= MOST_DISRUPTIONS and attempted.state is AttemptState.RUNNING:
             end = AttemptEnd(reason=Reason.DISRUPTED, message=f"{self.sentence}: no more are borne")
             return waits._replace(end=end)
+        held = attempted.waiting
+        if self.count and held is not None and held.reason == QUEUE_WAITS and (self.is_news or waiting):
+            told = waiting or held
+            return waits._replace(waiting=replace(told, message=clean(f"{told.message}; {self.sentence}")))
         if not self.count or waiting is None or not is_gone:
             return waits
         cause = f"{waiting.message}; " if waiting.reason == DISRUPTED else ""

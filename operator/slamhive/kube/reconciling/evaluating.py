@@ -11,6 +11,7 @@ from collections import defaultdict
 from typing import TYPE_CHECKING
 
 from slamhive.analysis.subjects import Surroundings, subject_of
+from slamhive.contract.settled import is_settled
 from slamhive.contract.trajectory import TRAJECTORY
 from slamhive.engine import AttemptState
 from slamhive.jobs.requests import EvaluateRequest, RunItem
@@ -111,9 +112,14 @@ class Evaluations:
     async def _start_missing(
         self, cluster: Cluster, group: EvaluationGroup, busy: set[str], active: int
     ) -> list[float | None]:
-        missing = [
-            run for run in group.runs if run["metadata"]["name"] not in busy and is_missing(group, run)
-        ]
+        missing = []
+        for run in group.runs:
+            problem = problem_of(group, run)
+            if problem is not None and group.name is None and not is_settled(run):
+                # Given up by an operator that ended before anybody was told.
+                await give_up(cluster, group, run, problem)
+            elif run["metadata"]["name"] not in busy and is_missing(group, run):
+                missing.append(run)
         if not missing:
             group.memory.forget_folders()
             return []

@@ -17,9 +17,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.analysis.measuring import SETTINGS_KEY
 from slamhive.kube.records import NOT_EVALUABLE, problems_noted
-from slamhive.kube.status import condition, rmse_of
-from slamhive.model.results import Outcome
+from slamhive.kube.routing import may_select
+from slamhive.kube.status import condition, holds, phase_of, rmse_of
+from slamhive.model.results import Outcome, Phase
 from slamhive.model.status import MOST_RESULTS, EvaluationStatus
 
 if TYPE_CHECKING:
@@ -109,6 +111,32 @@ def problem_of(group: EvaluationGroup, run: Mapping[str, Any]) -> str | None:
 def is_missing(group: EvaluationGroup, run: Mapping[str, Any]) -> bool:
     """Tell whether a run is still to be measured by a group."""
     return not group.has_result(run) and problem_of(group, run) is None
+
+
+def is_owed(run: Object, own: str | None, evaluations: Iterable[Object]) -> bool:
+    """Tell whether a run that has ended is still to be measured.
+
+    Args:
+        run: the run.
+        own: hash of the settings that it is measured by itself; None where it isn't.
+        evaluations: Evaluations that may measure it too.
+    """
+    status = run["status"]
+    if phase_of(status) is not Phase.SUCCEEDED or not status.get("trajectory"):
+        return False
+    results = status.get("results") or ()
+    done = {item["evaluation"] for item in results} | problems_noted(run).keys()
+    given_up = "" in done or holds(status, "Evaluated") is False
+    if own is not None and not given_up and all(item.get(SETTINGS_KEY) != own for item in results):
+        return True
+    return any(
+        may_select(one, run)
+        and (name := one["metadata"]["name"]) not in done
+        and not one["metadata"].get("deletionTimestamp")
+        and holds(one.get("status") or {}, "Accepted") is not False
+        and not is_full(run, name)
+        for one in evaluations
+    )
 
 
 def is_full(run: Mapping[str, Any], evaluation: str | None) -> bool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Any
 
+from slamhive.engine import LoadConditions
 from slamhive.kube.api.kinds import Key, Kind, Label, annotations_of, key_of, labels_of
 from slamhive.kube.reconciling.sweep_runs import SAME_AS
 from slamhive.kube.reconciling.variants import Wanted
@@ -46,8 +47,8 @@ class ReusableRuns:
         self._known: dict[tuple[str, str], str] = {}
         self._learned: dict[Key, tuple[str, str | None]] = {}
         self._has_looked_around = False
-        self.processors: set[str] = set()
-        """Models of the cluster's processors, as far as its runs told of them."""
+        self.conditions: set[LoadConditions] = set()
+        """Conditions that the cluster's runs are measured under, as far as they told of them."""
 
     def learn(self, run: dict[str, Any]) -> None:
         """Take note of a run, if it has finished."""
@@ -68,8 +69,7 @@ class ReusableRuns:
         if status.phase is Phase.SUCCEEDED and hashed and not provenance.reused_from:
             self._learned[key] = uid, hashed
             self._known[key.namespace, hashed] = key.name
-            if provenance.cpu_model:
-                self.processors.add(provenance.cpu_model)
+            self.conditions.add(LoadConditions.of(provenance))
 
     def forget(self, key: Key) -> None:
         """Forget a run that is gone: what is archived is found there, and a large Sweep's are many."""
@@ -105,8 +105,8 @@ class ReusableRuns:
         if self._archive is None:
             return None
         kept = await asyncio.to_thread(self._archive.find_reusable, hashed)
-        if kept is not None and _ran_on(cluster, kept) and kept.provenance.cpu_model:
-            self.processors.add(kept.provenance.cpu_model)  # its object is gone: nobody may have seen it
+        if kept is not None and _ran_on(cluster, kept):
+            self.conditions.add(LoadConditions.of(kept.provenance))  # its object is gone: maybe never seen
         return kept
 
     @staticmethod

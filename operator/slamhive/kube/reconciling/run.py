@@ -109,7 +109,7 @@ class RunReconciler:
         self._catalogue = catalogue
         self._evaluations = evaluations
         self._reusable = reusable
-        self._recorder = RunRecorder(catalogue, evaluations, reusable)
+        self._recorder = RunRecorder(catalogue, evaluations, reusable, has_archive=keeper is not None)
         self._waiting: set[Key] = set()
         self._resolved: dict[Key, _Resolved] = {}
         self._keeper = keeper
@@ -167,7 +167,7 @@ class RunReconciler:
         known = self._resolved.get(key)
         if known is None or known.uid != uid:
             resolved = resolve({name: spec[name] for name in spec if name != "cancel"}, algorithm, dataset)
-            if not state.attempts:
+            if not state.attempts and not _is_of_sweep(run):
                 _insist_on_effects(resolved, algorithm, dataset)
             wanted = Wanted.by(resolved, algorithm, dataset)
             known = self._resolved[key] = _Resolved(uid, resolved, spec_hash(resolved), wanted)
@@ -383,7 +383,15 @@ def _seen(
     told = condition_of(run, "Scheduled") or {}
     interrupted = told.get("reason") == TERMINATING
     if job is not None:
-        return observe_attempt(job, cluster.store.pods_of(job), was_interrupted=interrupted)
+        status = run.get("status") or {}
+        # While the status says why it doesn't run, what took its pod is counted already.
+        counted = phase_of(status) is not Phase.RUNNING or told.get("status") == "False"
+        return observe_attempt(
+            job,
+            cluster.store.pods_of(job),
+            was_interrupted=interrupted,
+            at_work_since=None if counted else moment(status.get("startTime")),
+        )
     # Of a Job that was deleted the pod lives on for its grace time, and nothing may run beside it.
     found = cluster.store.select(Kind.POD, key.namespace, Label.RUN, label_value(key.name))
     pods = [pod for pod in found if labels_of(pod).get(Label.ROLE) == Role.RUN]
@@ -401,8 +409,13 @@ def _seen(
     return observe_lost(state.attempts, was_interrupted=interrupted)
 
 
+def _is_of_sweep(run: dict[str, Any]) -> bool:
+    """Tell whether a Sweep made a run, whose spec holds what takes effect alone."""
+    return any(owner.get("kind") == Kind.SWEEP for owner in owners_of(run))
+
+
 def _insist_on_effects(spec: dict[str, Any], algorithm: Algorithm, dataset: Dataset) -> None:
-    """Refuse what a recording can't give; a Sweep's runs hold what takes effect already.
+    """Refuse what a recording can't give.
 
     Raises:
         InputError: one sentence a line.

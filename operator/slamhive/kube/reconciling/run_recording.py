@@ -16,6 +16,7 @@ from slamhive.kube.reconciling.run_status import (
     reused_fields,
     usage_suspect,
 )
+from slamhive.kube.reconciling.sweep_runs import is_archive_only
 from slamhive.kube.status import condition, holds, iso, phase_of, state_fields
 from slamhive.model.results import Phase, Reason
 from slamhive.model.status import AlgorithmStatus, MappingRunStatus
@@ -36,9 +37,18 @@ class RunRecorder:
         catalogue: Algorithms and Datasets.
         evaluations: who measures finished runs.
         reusable: finished runs by content.
+        has_archive: whether there is an archive, which alone is told of the ends of some runs.
     """
 
-    def __init__(self, catalogue: Catalogue, evaluations: Evaluations, reusable: ReusableRuns) -> None:
+    def __init__(
+        self,
+        catalogue: Catalogue,
+        evaluations: Evaluations,
+        reusable: ReusableRuns,
+        *,
+        has_archive: bool,
+    ) -> None:
+        self._has_archive = has_archive
         self._catalogue = catalogue
         self._evaluations = evaluations
         self._reusable = reusable
@@ -96,7 +106,8 @@ class RunRecorder:
             await self._note_image(
                 cluster, facts
             )  # before those that wait for the run's end look for one like it
-        await cluster.write_status(Kind.MAPPING_RUN, facts.body, status, fresh)
+        untold = self._has_archive and state.phase.is_finished and is_archive_only(facts.body)
+        await cluster.write_status(Kind.MAPPING_RUN, facts.body, status, fresh, untold=untold)
         if taken.is_news:
             why = attempted.waiting.message if attempted.waiting else "its pod was taken away"
             text = why if taken.sentence in why else f"{why}; {taken.sentence}"
@@ -115,7 +126,7 @@ class RunRecorder:
         attempted, now = facts.attempted, cluster.clock()
         fresh = [condition("Complete", True, str(state.reason or state.phase), state.message or "")]
         if equal is not None and state.phase is Phase.SUCCEEDED:
-            return reused_fields(equal, facts, self._reusable.processors), [
+            return reused_fields(equal, facts, self._reusable.conditions), [
                 *fresh,
                 condition("Reused", True, "EqualRun", f"took {equal.name}'s result"),
             ]

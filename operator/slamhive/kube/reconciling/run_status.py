@@ -10,15 +10,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from slamhive import __version__
-from slamhive.engine import AttemptState, taken_over
+from slamhive.engine import AttemptState, LoadConditions, taken_over
 from slamhive.kube.api.encoding import encode
 from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.reconciling.disruptions import NO_DISRUPTIONS, Disruptions
 from slamhive.kube.reconciling.sweep_runs import asked_of
-from slamhive.kube.status import display, iso, result_field
-from slamhive.model.results import Prepared, Provenance, TrajectoryInfo, Usage
+from slamhive.kube.status import condition, display, iso, result_field
+from slamhive.model.results import Phase, Prepared, Provenance, TrajectoryInfo, Usage
 from slamhive.model.sensors import SensorMode
-from slamhive.model.status import LIST_BYTES, MOST_RESULTS, MappingRunStatus, ResultEntry
+from slamhive.model.status import LIST_BYTES, MESSAGE_LENGTH, MOST_RESULTS, MappingRunStatus, ResultEntry
 from slamhive.plan import image_digest, recording_fields
 
 if TYPE_CHECKING:
@@ -148,6 +148,7 @@ def provenance(
         variant=known.get("key"),
         node=attempted.node,
         cpu_model=attempted.report.cpu_model if attempted.report else None,
+        machine=attempted.report.machine if attempted.report else None,
         slamhive_version=__version__,
         **_recording(facts),
     )
@@ -160,31 +161,52 @@ def _recording(facts: RunFacts) -> dict[str, Any]:
     return recording_fields(facts.spec["input"], asked_of(facts.body), facts.dataset, mode, prepared)
 
 
-def reused_fields(equal: RunRecord, facts: RunFacts, processors: Collection[str]) -> MappingRunStatus:
+def reused_fields(
+    equal: RunRecord, facts: RunFacts, conditions: Collection[LoadConditions]
+) -> MappingRunStatus:
     """Return the fields that a run takes over from an equal one.
 
     Args:
         equal: the equal run.
         facts: the run.
-        processors: models of the cluster's processors, as far as runs told of them.
+        conditions: those that the cluster's runs are measured under, as far as runs told of them.
     """
-    taken = equal.replace(**taken_over(equal, _recording(facts), processors))
+    return _recorded(equal.replace(**taken_over(equal, _recording(facts), conditions)))
+
+
+def archived_status(record: RunRecord) -> tuple[MappingRunStatus, list[dict[str, Any]]]:
+    """Return the status that an archived run had, as far as the archive has it, and its conditions."""
+    word = str(record.reason or record.phase)
+    told = [condition("Complete", True, word, record.message or "")]
+    if record.phase is Phase.SUCCEEDED and not record.results:
+        told.append(condition("Evaluated", False, "NotEvaluable", record.message or ""))
+    state = MappingRunStatus(
+        phase=record.phase,
+        reason=record.reason,
+        message=(record.message or "")[:MESSAGE_LENGTH] or None,
+        attempts=record.attempts,
+    )
+    return _recorded(record) | state, told
+
+
+def _recorded(record: RunRecord) -> MappingRunStatus:
+    """Return the fields of a run's status that its record has too."""
     # An archive holds a run's results of any number of evaluations.
-    results = [result_field(result) for result in equal.results[:MOST_RESULTS]]
+    results = [result_field(result) for result in record.results[:MOST_RESULTS]]
     while len(encode(results)) > LIST_BYTES:
         results.pop()
     return MappingRunStatus(
-        usage=taken.usage,
-        frames=taken.frames,
-        metrics=taken.metrics,
-        trajectory=taken.trajectory,
-        folder=taken.folder,
-        log_tail=taken.log_tail,
-        provenance=taken.provenance,
+        usage=record.usage,
+        frames=record.frames,
+        metrics=record.metrics,
+        trajectory=record.trajectory,
+        folder=record.folder,
+        log_tail=record.log_tail,
+        provenance=record.provenance,
         results=[ResultEntry.model_validate(result) for result in results],
-        display=display(taken.usage, results),
-        start_time=iso(taken.started.timestamp()) if taken.started else None,
-        completion_time=iso(taken.finished.timestamp()) if taken.finished else None,
+        display=display(record.usage, results),
+        start_time=iso(record.started.timestamp()) if record.started else None,
+        completion_time=iso(record.finished.timestamp()) if record.finished else None,
     )
 
 

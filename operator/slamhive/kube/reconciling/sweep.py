@@ -9,60 +9,64 @@ them is made again from the live runs and the archive.
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from slamhive.archive.known import known_trials
 from slamhive.engine import (
     PointState,
     StartPoints,
     StopPoints,
-    SweepDecision,
-    SweepObserved,
     Verdict,
-    decide_sweep,
 )
 from slamhive.kube.api.errors import REFUSALS, AlreadyExists, Conflict
-from slamhive.kube.api.kinds import Key, Kind, Label, Object, key_of, labels_of, owner_uids
-from slamhive.kube.builders.common import label_value
-from slamhive.kube.pods import live_pods
+from slamhive.kube.api.kinds import Key, Kind, Object, key_of, owner_uids
+from slamhive.kube.kueue import QUEUE_WAITS
 from slamhive.kube.reconciling.archiving import ArchiveAway, Keeper, in_thread
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.reconciling.evaluation_groups import SWEEP_PREFIX
 from slamhive.kube.reconciling.reuse import ReusableRuns
 from slamhive.kube.reconciling.sweep_losses import (
     announcement,
+    archived_by_others,
     are_missing,
     give_up,
-    remark,
     take_back,
     take_out,
 )
+from slamhive.kube.reconciling.sweep_picture import (
+    SweepPicture,
+    belongs_to,
+    decide_now,
+    is_outdated,
+    leaving_pods,
+    own_runs,
+    owned_runs,
+)
+from slamhive.kube.reconciling.sweep_recording import SweepRecorder, tell_archive
 from slamhive.kube.reconciling.sweep_runs import (
     Finished,
-    SweepTally,
-    decode_points,
-    encode_points,
     free_slot,
+    held_back,
+    is_archive_only,
     point_of,
     run_body,
     slots_used,
     standing_still,
     state_of,
+    why_held_back,
 )
 from slamhive.kube.reconciling.sweep_search import Asker, written_trials
+from slamhive.kube.reconciling.sweep_sharing import SlotSharing, SweepLook
 from slamhive.kube.reconciling.sweep_state import SweepMemory, remember
-from slamhive.kube.status import condition, holds, iso, metres, moment, phase_of, status_patch
+from slamhive.kube.status import condition, holds, moment, phase_of
 from slamhive.model.base import seconds
 from slamhive.model.errors import InputError, SystemFault
-from slamhive.model.search import SearchRecord
-from slamhive.model.status import SweepDisplay, SweepStatus, trial_field
+from slamhive.model.status import trial_field
 from slamhive.model.sweep import CachePolicy, Sweep
 from slamhive.sampling import Sampler
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from slamhive.archive import Archive
     from slamhive.kube.cluster import Cluster
     from slamhive.kube.reconciling.catalogue import Catalogue
@@ -77,36 +81,8 @@ _MANY = 100
 _BLOCKED_SECONDS = 5.0
 _AWAY_SECONDS = 10.0
 _LEAVING_SECONDS = 1.0
-_SHOWN_PROBLEMS = 20
 _AT_ONCE = 16
 _BATCHES_WAITING = 2
-
-
-@dataclass(frozen=True)
-class _SweepPicture:
-    """A Sweep as it is seen now.
-
-    Attributes:
-        key: its address.
-        body: the object.
-        sweep: the same as a record.
-        memory: what is remembered of it.
-        runs: its live runs by point.
-        tally: figures over all its finished runs.
-    """
-
-    key: Key
-    body: Object
-    sweep: Sweep
-    memory: SweepMemory
-    runs: dict[int, Object]
-    tally: SweepTally
-
-    @property
-    def settled(self) -> list[Object]:
-        """Return its live runs of which nothing more will be written."""
-        finished = self.memory.finished
-        return [run for index, run in self.runs.items() if index in finished and finished[index].is_settled]
 
 
 class SweepReconciler:
@@ -131,6 +107,8 @@ class SweepReconciler:
         self._asker = Asker(sampler or Sampler())
         self._reusable = reusable or ReusableRuns(catalogue, archive)
         self._keeper = Keeper(catalogue, archive) if archive is not None else None
+        self._recorder = SweepRecorder(archive, self._keeper)
+        self._sharing = SlotSharing(archive)
         self._memory: dict[str, SweepMemory] = {}
         self._parsed: dict[str, tuple[int, Sweep]] = {}
         self._waiting: set[Key] = set()
@@ -151,11 +129,12 @@ class SweepReconciler:
             again = await self._reconcile(cluster, key, body)
         except ArchiveAway as error:
             self._archive_away[body["metadata"]["uid"]] = str(error)
-            await _tell_archive(cluster, key, condition("ArchiveUnavailable", True, "NoAnswer", str(error)))
+            self._sharing.rest(body["metadata"]["uid"])
+            await tell_archive(cluster, key, condition("ArchiveUnavailable", True, "NoAnswer", str(error)))
             return _AWAY_SECONDS
         seen = cluster.store.get(key) or body
         if body["metadata"]["uid"] not in self._archive_away and holds(seen["status"], "ArchiveUnavailable"):
-            await _tell_archive(cluster, key, condition("ArchiveUnavailable", False, "Answers"))
+            await tell_archive(cluster, key, condition("ArchiveUnavailable", False, "Answers"))
         return again
 
     async def _reconcile(self, cluster: Cluster, key: Key, body: Object) -> float | None:
@@ -165,7 +144,8 @@ class SweepReconciler:
             memory = await self._remembered(cluster, key, body, sweep)
         except InputError as error:
             self._waiting.add(key)
-            await self._refuse(cluster, body, str(error))
+            self._sharing.rest(body["metadata"]["uid"])
+            await self._recorder.refuse(cluster, body, str(error))
             return None
         if body["metadata"].get("generation", 1) != (body.get("status") or {}).get("observedGeneration"):
             # Its runs may have to be measured by other settings now: no change of a run tells.
@@ -182,7 +162,7 @@ class SweepReconciler:
             del self._memory[body["metadata"]["uid"]]
             return _LOOK_SECONDS
         seen = await self._take_picture(cluster, key, body, sweep, memory)
-        if _is_outdated(seen):
+        if is_outdated(seen):
             del self._memory[body["metadata"]["uid"]]
             return _LOOK_SECONDS
         return await self._drive_window(cluster, seen, now)
@@ -193,6 +173,7 @@ class SweepReconciler:
             for namespace in cluster.settings.namespaces
             for body in cluster.store.of(Kind.SWEEP, namespace)
         }
+        self._sharing.leave(cluster, *(uid for uid in self._sharing.known if uid not in alive))
         for uid in [uid for uid in self._memory if uid not in alive]:
             memory = self._memory.pop(uid)
             try:
@@ -208,7 +189,7 @@ class SweepReconciler:
         """Archive what has ended of a Sweep that was deleted, and tell what stays of it."""
         meta = sweep.metadata
         key = Key(Kind.SWEEP, meta.namespace or "", sweep.name)
-        runs = {run["metadata"]["uid"]: run for run in _owned(cluster, key, meta.uid or "")}
+        runs = {run["metadata"]["uid"]: run for run in owned_runs(cluster, key, meta.uid or "")}
         ended = {one.run["metadata"]["uid"]: one.run for one in memory.finished.values()}
         ended |= {uid: run for uid, run in runs.items() if phase_of(run["status"]).is_finished}
         text = f"{len(ended)} runs that had ended "
@@ -237,7 +218,9 @@ class SweepReconciler:
         if known is not None and known.search is not None and known.search.search != sweep.spec.search:
             del self._memory[uid]  # it is to try more
         if uid not in self._memory:
-            live = [run for run in _own(cluster, key, uid) if point_of(run) is not None]
+            if self._keeper is not None:
+                await self._keeper.recall(cluster, own_runs(cluster, key, uid))
+            live = [run for run in own_runs(cluster, key, uid) if point_of(run) is not None]
             accepted = bool(holds(body["status"], "Accepted"))
             catalog = self._catalogue.all(cluster.store, key.namespace)
             memory = await remember(
@@ -247,7 +230,7 @@ class SweepReconciler:
             )
             # An operator that was killed may not have written the start: its oldest live run tells it, or the
             # budget of wall time would begin anew.
-            made = (moment(run["metadata"].get("creationTimestamp")) for run in _own(cluster, key, uid))
+            made = (moment(run["metadata"].get("creationTimestamp")) for run in own_runs(cluster, key, uid))
             memory.started_at = memory.started_at or min(filter(None, made), default=None)
             most = cluster.settings.max_runs_without_archive
             if self._archive is None and memory.most_runs > most:
@@ -260,9 +243,9 @@ class SweepReconciler:
 
     async def _take_picture(
         self, cluster: Cluster, key: Key, body: Object, sweep: Sweep, memory: SweepMemory
-    ) -> _SweepPicture:
+    ) -> SweepPicture:
         runs = {}
-        for run in _own(cluster, key, body["metadata"]["uid"]):
+        for run in own_runs(cluster, key, body["metadata"]["uid"]):
             index = point_of(run)
             if index is not None and index < len(memory.states):
                 runs[index] = run
@@ -279,7 +262,7 @@ class SweepReconciler:
         tally.add(*memory.finished.values(), *memory.deleted.values())
         if memory.search is not None:
             memory.search.look(memory.finished, runs, memory.states)
-        return _SweepPicture(key, body, sweep, memory, runs, tally)
+        return SweepPicture(key, body, sweep, memory, runs, tally)
 
     async def _look_for_missing(
         self, cluster: Cluster, body: Object, sweep: Sweep, memory: SweepMemory, runs: dict[int, Object]
@@ -294,7 +277,7 @@ class SweepReconciler:
                 run = await cluster.refresh(
                     Key(Kind.MAPPING_RUN, key.namespace, memory.plan.point(index).name)
                 )
-                if run is not None and _is_of(run, uid):
+                if run is not None and belongs_to(run, uid):
                     runs[index] = run
                 else:
                     missing.append(index)
@@ -304,6 +287,9 @@ class SweepReconciler:
             there = await cluster.refresh(key)
             if there is None or there["metadata"]["uid"] != uid or there["metadata"].get("deletionTimestamp"):
                 raise Conflict(f"{key} is being deleted", status=409)
+        if missing and await archived_by_others(memory, self._archive, uid, missing):
+            del self._memory[uid]
+            raise Conflict(f"{key}: another operator has archived runs of it", status=409)
         names = await take_out(memory, self._archive, sweep.spec.retention.runs, runs)
         names += [give_up(memory, index) for index in missing]
         take_back(memory, runs)
@@ -311,42 +297,57 @@ class SweepReconciler:
             text = announcement(memory, names)
             await cluster.api.event(Kind.SWEEP, body, "Warning", "RunsDeleted", text)
 
-    async def _drive_window(self, cluster: Cluster, seen: _SweepPicture, now: float) -> float | None:
+    async def _drive_window(self, cluster: Cluster, seen: SweepPicture, now: float) -> float | None:
         """Start or stop what is due, write what changed, and archive what is done."""
         memory, sweep = seen.memory, seen.sweep
-        leaving = _leaving(cluster, seen)
+        _note_start(seen, now)
+        leaving = leaving_pods(cluster, seen)
         window = sweep.spec.parallelism or cluster.settings.default_parallelism
         room = max(0, window - len(leaving))
-        decision = _decide(seen, room, now)
+        decision = decide_now(seen, room, now)
         unsought: str | None = None
         if memory.search is not None and decision.verdict is Verdict.RUNNING:
             seen, unsought = await self._try_further(cluster, seen)
-            decision = _decide(seen, room, now)
+            decision = decide_now(seen, room, now)
         memory.cursor = decision.cursor
         unmade: str | None = None
+        due: tuple[int, ...] = ()
         for action in decision.actions:
             match action:
-                case StartPoints() if self._is_held_back(seen, window):
-                    pass
-                case StartPoints(indices):
+                case StartPoints(indices) if not self._is_held_back(seen, window):
                     unmade = self._backlog(cluster, seen, window)
-                    unmade = unmade or await self._start(cluster, seen, indices, now)
+                    due = () if unmade else indices
                 case StopPoints(indices):
                     await self._cancel(cluster, [seen.runs[index] for index in indices if index in seen.runs])
+        look = SweepLook(seen.key, sweep, memory, seen.runs, len(leaving), window, len(due))
+        turn = await self._sharing.turn(cluster, look, now)
+        memory.share = turn.share
+        if turn.starts:
+            unmade = await self._start(cluster, seen, due[: turn.starts], now)
+            begun = [seen.runs[index] for index in due[: turn.starts] if index in seen.runs]
+            self._sharing.begun(seen.body["metadata"]["uid"], begun, now)
+        if unmade:
+            self._sharing.rest(seen.body["metadata"]["uid"])
         delays = [_BLOCKED_SECONDS] if unmade or unsought else []
         delays += [_LEAVING_SECONDS] if leaving else []
-        still = standing_still(seen.runs, cluster.failing)
-        blocked = "\n".join(filter(None, (unsought, unmade, still)))
+        delays += [turn.delay] if turn.delay is not None else []
+        active = seen.active
+        still = standing_still(active, cluster.failing)
+        queued = held_back(active)
+        refused, refusal = turn.blocked or ("", None)
+        blocked = "\n".join(filter(None, (refusal, unsought, unmade, still, queued)))
         words = (
+            (refusal, refused),
             (unsought, "CannotSearch"),
             (unmade, "CannotCreate"),
             (still, "RunsStandStill"),
+            (queued, QUEUE_WAITS),
             (True, "Free"),
         )
         word = next(word for told, word in words if told)
         if sweep.spec.budget.wall_time is not None and decision.verdict is Verdict.RUNNING:
             delays.append(_budget_left(sweep, memory, now))
-        delays += await self._write_status(
+        delays += await self._recorder.record(
             cluster, seen, decision, condition("Blocked", bool(blocked), word, blocked), now
         )
         if self._archive is not None and self._keeper is not None:
@@ -359,7 +360,7 @@ class SweepReconciler:
                 delays.append(_LOOK_SECONDS)
         return min(delays, default=None)
 
-    async def _try_further(self, cluster: Cluster, seen: _SweepPicture) -> tuple[_SweepPicture, str | None]:
+    async def _try_further(self, cluster: Cluster, seen: SweepPicture) -> tuple[SweepPicture, str | None]:
         """Write down what a search tries next, before any run of it; returns what keeps it from that."""
         memory, search = seen.memory, seen.memory.search
         if search is None:
@@ -378,7 +379,7 @@ class SweepReconciler:
             search.draw(trial, memory.states)
         return replace(seen, body=body), None
 
-    async def _known_before(self, cluster: Cluster, seen: _SweepPicture, search: SearchMemory) -> list[Trial]:
+    async def _known_before(self, cluster: Cluster, seen: SweepPicture, search: SearchMemory) -> list[Trial]:
         """Return the settings whose results the archive has already, which are tried first.
 
         Only where datasets are prepared as these settings read them it is known what is equal; what isn't
@@ -390,13 +391,13 @@ class SweepReconciler:
         content = self._reusable.contents(cluster, seen.key.namespace, search.plan)
         return await in_thread(known_trials, search.plan, self._archive, content)
 
-    def _is_held_back(self, seen: _SweepPicture, window: int) -> bool:
+    def _is_held_back(self, seen: SweepPicture, window: int) -> bool:
         """Tell whether finished runs wait for an archive that is away: more would fill the cluster."""
         if seen.body["metadata"]["uid"] not in self._archive_away:
             return False
         return len(seen.settled) >= seen.sweep.spec.retention.runs + window
 
-    def _backlog(self, cluster: Cluster, seen: _SweepPicture, window: int) -> str | None:
+    def _backlog(self, cluster: Cluster, seen: SweepPicture, window: int) -> str | None:
         """Return the reason to start nothing more now: runs end faster than they are measured and archived.
 
         Without this their objects would fill the cluster, however small the window is.
@@ -411,28 +412,38 @@ class SweepReconciler:
         return f"{ended} runs that have ended, {kept} of them to keep, wait to be measured and archived"
 
     async def _start(
-        self, cluster: Cluster, seen: _SweepPicture, indices: tuple[int, ...], now: float
+        self, cluster: Cluster, seen: SweepPicture, indices: tuple[int, ...], now: float
     ) -> str | None:
         """Create the runs of points; returns why some could not be."""
         if self._archive is not None:
             await _insist_on_newest(cluster, seen)
         if seen.memory.started_at is None:
             seen.memory.started_at = now
-        used = slots_used([*seen.runs.values(), *_leaving(cluster, seen)])
+        used = slots_used([*seen.runs.values(), *leaving_pods(cluster, seen)])
         limit = asyncio.Semaphore(_AT_ONCE)
+        retained = sum(not is_archive_only(run) for run in seen.runs.values())
+        room = seen.sweep.spec.retention.runs - retained if self._archive is not None else len(indices)
 
-        async def create(index: int, slot: int) -> str | None:
+        async def create(index: int, slot: int, *, archive_only: bool) -> str | None:
             async with limit:
-                return await self._create(cluster, seen, index, slot)
+                return await self._create(cluster, seen, index, slot, archive_only=archive_only)
 
-        told = await asyncio.gather(*(create(index, free_slot(used)) for index in indices))
+        told = await asyncio.gather(
+            *(
+                create(index, free_slot(used), archive_only=number >= room)
+                for number, index in enumerate(indices)
+            )
+        )
         return next((problem for problem in told if problem), None)
 
     @staticmethod
-    async def _create(cluster: Cluster, seen: _SweepPicture, index: int, slot: int) -> str | None:
+    async def _create(
+        cluster: Cluster, seen: SweepPicture, index: int, slot: int, *, archive_only: bool
+    ) -> str | None:
         plan = seen.memory.plan
         twin = plan.twins.get(index)
-        body = run_body(seen.body, plan.point(index), slot, None if twin is None else plan.point(twin).name)
+        same = None if twin is None else plan.point(twin).name
+        body = run_body(seen.body, plan.point(index), slot, same, archive_only=archive_only)
         try:
             run = await cluster.create(Kind.MAPPING_RUN, body)
         except AlreadyExists:
@@ -456,129 +467,8 @@ class SweepReconciler:
             if not run["spec"].get("cancel"):
                 await cluster.patch(key_of(Kind.MAPPING_RUN, run), {"spec": {"cancel": True}})
 
-    async def _write_status(
-        self, cluster: Cluster, seen: _SweepPicture, decision: SweepDecision, blocked: Object, now: float
-    ) -> list[float]:
-        """Write the status if it changed and the last write is long enough ago; returns when to come back."""
-        body, memory = seen.body, seen.memory
-        # A Sweep is complete when its runs are measured, not when they have ended.
-        settled = len(seen.settled) == len(seen.runs)
-        over = decision.verdict.is_final and settled
-        # However many runs end, the status is written once in this time; the Sweep's own end does not wait.
-        wait = memory.written_at + cluster.settings.sweep_write_seconds - now
-        if wait > 0 and not over and memory.search is not None:
-            return [wait]  # which of thousands of settings are the best is seen once in this time, too
-        phase, conditions = _standing(cluster, seen, decision, settled, blocked)
-        status = _figures(memory, seen.tally) | SweepStatus(
-            phase=phase, observed_generation=body["metadata"].get("generation", 1)
-        )
-        if memory.started_at is not None:
-            status |= SweepStatus(start_time=iso(memory.started_at))
-        if over and not body["status"].get("completionTime"):
-            status |= SweepStatus(completion_time=iso(now))
-        is_news = bool(status_patch(body, status.as_patch(), conditions, now))
-        fresh = self._keeper is not None and not all(memory.kept.has(run) for run in seen.settled)
-        if not is_news and not fresh:
-            return []
-        if wait > 0 and not (over and is_news):
-            return [wait]
-        away = await self._keep(cluster, seen)
-        # Noted before the answer: where that is lost, the write may have been done and must not look like
-        # another operator's.
-        memory.points = status.points
-        answer = await cluster.write_status(Kind.SWEEP, body, status, conditions) or body
-        memory.written_at = now
-        if blocked["status"] == "True" and not holds(body["status"], "Blocked"):
-            await cluster.api.event(Kind.SWEEP, answer, "Warning", blocked["reason"], blocked["message"])
-        await self._announce_phase(cluster, body, answer)
-        if away is not None:
-            raise away
-        return []
 
-    async def _keep(self, cluster: Cluster, seen: _SweepPicture) -> ArchiveAway | None:
-        """Archive what has ended before the status counts it: who deletes the Sweep then loses none of it.
-
-        An archive that is away is told after the status is written, as the Sweep goes on.
-        """
-        try:
-            if self._keeper is not None:
-                await self._keeper.keep(cluster, seen.settled, seen.sweep.spec.evaluation, seen.memory.kept)
-                points = seen.memory.replaced.keys() & {point_of(run) for run in seen.settled}
-                await self._keeper.forget(uid for index in points for uid in seen.memory.replaced[index])
-                for index in points:
-                    del seen.memory.replaced[index]
-                await self._copy_search(seen)
-        except ArchiveAway as error:
-            return error
-        return None
-
-    async def _copy_search(self, seen: _SweepPicture) -> None:
-        """Have the archive know what a search has tried, for those who look there."""
-        search, archive = seen.memory.search, self._archive
-        if search is None or archive is None:
-            return
-        news = len(search.plan.trials), seen.tally.reused
-        if news != search.copied:
-            record = SearchRecord(trials=[*search.plan.trials], spared=news[1])
-            await in_thread(archive.put_search, seen.body["metadata"]["uid"], record)
-            search.copied = news
-
-    @staticmethod
-    async def _announce_phase(cluster: Cluster, before: Object, after: Object) -> None:
-        was, phase = before["status"].get("phase"), after["status"].get("phase")
-        if phase == was or phase in {None, "Pending", "Evaluating"}:
-            return
-        bad = phase in {Verdict.TOO_MANY_FAILURES, Verdict.BUDGET_EXHAUSTED}
-        done = after["status"].get("progress")
-        text = f"{done} done" if "search" in after["status"] else f"{done} runs done"
-        await cluster.api.event(Kind.SWEEP, after, "Warning" if bad else "Normal", str(phase), text)
-
-    @staticmethod
-    async def _refuse(cluster: Cluster, body: Object, message: str) -> None:
-        lines = message.splitlines()
-        text = "\n".join(lines[:_SHOWN_PROBLEMS])
-        told = condition("Accepted", False, "InvalidSpec", text)
-        if await cluster.write_status(Kind.SWEEP, body, SweepStatus(phase="Pending"), [told]) is not None:
-            await cluster.api.event(Kind.SWEEP, body, "Warning", "NotAccepted", lines[0])
-
-
-async def _tell_archive(cluster: Cluster, key: Key, told: Object) -> None:
-    """Write whether the archive answers into a Sweep's conditions; an Event says that it does not."""
-    body = cluster.store.get(key)
-    if body is None:
-        return
-    answer = await cluster.write_status(Kind.SWEEP, body, conditions=[told])
-    if answer is not None and told["status"] == "True":
-        await cluster.api.event(Kind.SWEEP, answer, "Warning", told["type"], told["message"])
-
-
-def _owned(cluster: Cluster, key: Key, uid: str) -> list[Object]:
-    runs = cluster.store.select(Kind.MAPPING_RUN, key.namespace, Label.SWEEP, key.name)
-    return [run for run in runs if uid in owner_uids(run)]
-
-
-def _own(cluster: Cluster, key: Key, uid: str) -> list[Object]:
-    return [run for run in _owned(cluster, key, uid) if _is_of(run, uid)]
-
-
-def _is_of(run: Object, uid: str) -> bool:
-    return uid in owner_uids(run) and not run["metadata"].get("deletionTimestamp")
-
-
-def _is_outdated(seen: _SweepPicture) -> bool:
-    """Tell whether another operator wrote of ends that were never seen here, of runs that are archived."""
-    memory, text = seen.memory, seen.body["status"].get("points")
-    if text is None or text == memory.points:
-        return False
-    memory.points = text
-    pairs = enumerate(zip(decode_points(text, len(memory.states)), memory.states, strict=True))
-    return any(
-        theirs >= PointState.SUCCEEDED and theirs != ours and index not in seen.runs
-        for index, (theirs, ours) in pairs
-    )
-
-
-async def _insist_on_newest(cluster: Cluster, seen: _SweepPicture) -> None:
+async def _insist_on_newest(cluster: Cluster, seen: SweepPicture) -> None:
     """Make sure that no other operator has done points of which nothing is known here yet.
 
     An archived run's name is free again: only the Sweep's status says that its point is done.
@@ -591,97 +481,17 @@ async def _insist_on_newest(cluster: Cluster, seen: _SweepPicture) -> None:
         raise Conflict(f"{seen.key} has changed since it was looked at", status=409)
 
 
-def _leaving(cluster: Cluster, seen: _SweepPicture) -> list[Mapping[str, Any]]:
-    """Return the pods at work whose runs were deleted or are over: a slot is free when its pod has ended."""
-    going = (run for run in seen.runs.values() if state_of(run) is PointState.ACTIVE)
-    active = {label_value(run["metadata"]["name"]) for run in going}
-    pods = cluster.store.select(Kind.POD, seen.key.namespace, Label.SWEEP, label_value(seen.key.name))
-    return [pod for pod in live_pods(pods) if labels_of(pod).get(Label.RUN) not in active]
-
-
-def _decide(seen: _SweepPicture, room: int, now: float) -> SweepDecision:
-    """Decide what is started and stopped now, with room for so many runs in flight."""
-    memory, search = seen.memory, seen.memory.search
-    observed = SweepObserved(
-        states=memory.states,
-        order=memory.order,
-        parallelism=room,
-        started_at=memory.started_at,
-        cpu_seconds=seen.tally.cpu_seconds,
-        cursor=memory.cursor,
-        twins=memory.plan.twins,
-    )
-    if search is None:
-        return decide_sweep(seen.sweep.spec, observed, now)
-    wanted = search.wanted(memory.states)
-    observed = replace(
-        observed,
-        order=wanted,
-        cursor=0,
-        left_out=memory.states.count(PointState.PENDING) - len(wanted),
-        is_open=not search.decision.is_over,
-    )
-    decision = decide_sweep(seen.sweep.spec, observed, now)
-    is_over = decision.verdict is Verdict.COMPLETE
-    return replace(decision, message=search.decision.message) if is_over else decision
+def _note_start(seen: SweepPicture, now: float) -> None:
+    """Let a Sweep's time begin when the first of its runs is let in: the wait in a queue costs no budget."""
+    memory, active = seen.memory, seen.active
+    is_waiting = bool(active) and all(map(why_held_back, active))
+    if is_waiting and len(active) + memory.states.count(PointState.PENDING) == len(memory.states):
+        memory.started_at = None
+    elif active:
+        memory.started_at = memory.started_at or now
 
 
 def _budget_left(sweep: Sweep, memory: SweepMemory, now: float) -> float:
     """Return after how many seconds to look at the budget of time again."""
     end = (memory.started_at or now) + seconds(sweep.spec.budget.wall_time or "0s")
     return min(max(end - now, _LOOK_SECONDS), 60.0)
-
-
-def _figures(memory: SweepMemory, tally: SweepTally) -> SweepStatus:
-    counts = {state: memory.states.count(state) for state in PointState}
-    search = memory.search
-    standing = None if search is None else search.standing(tally)
-    if (
-        search is not None
-    ):  # of runs that a search may have asked for, those that it doesn't ask for don't count
-        counts[PointState.PENDING] = len(search.wanted(memory.states))
-    total = sum(counts.values())
-    done = counts[PointState.SUCCEEDED] + counts[PointState.FAILED]
-    status = SweepStatus(
-        total=total,
-        pending=counts[PointState.PENDING],
-        running=counts[PointState.ACTIVE],
-        succeeded=counts[PointState.SUCCEEDED],
-        failed=counts[PointState.FAILED],
-        reused=tally.reused,
-        evaluated=tally.evaluated,
-        cpu_seconds=round(tally.cpu_seconds, 3),
-        progress=f"{done}/{total}" if standing is None else f"{standing.decided}/{standing.most} trials",
-        best=tally.best,
-        points=encode_points(memory.states),
-        deleted=memory.deletions or None,
-    )
-    if tally.best:
-        status |= SweepStatus(display=SweepDisplay(ate=metres(tally.best[0].ate)))
-    if standing is not None:
-        status |= SweepStatus(search=standing)
-    return status | SweepStatus(selected=memory.selected) if memory.selected else status
-
-
-def _standing(
-    cluster: Cluster, seen: _SweepPicture, decision: SweepDecision, settled: bool, blocked: Object
-) -> tuple[str, list[Object]]:
-    """Return the standing of a Sweep: its phase, for printing, and its conditions."""
-    verdict = decision.verdict
-    final = verdict.is_final
-    phase = str(verdict) if settled or not final else "Evaluating"
-    told = "; ".join(filter(None, (decision.message, remark(seen.memory))))
-    fresh = [
-        condition("Accepted", True, "Accepted", seen.memory.remarks),
-        condition("Complete", final and settled, str(verdict) if final else "Running", told),
-        condition(
-            "Suspended", verdict is Verdict.SUSPENDED, "Suspended" if seen.sweep.spec.suspend else "Active"
-        ),
-    ]
-    if blocked["status"] == "True" or holds(seen.body["status"], "Blocked"):
-        fresh.append(blocked)
-    available = cluster.usage.available
-    if available is not None and (not available or holds(seen.body["status"], "LiveUsage") is False):
-        reason = "MetricsAvailable" if available else "MetricsUnavailable"
-        fresh.append(condition("LiveUsage", available, reason, cluster.usage.sentence))
-    return phase, fresh

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 
 from slamhive.engine import PointState
 from slamhive.kube.reconciling.archiving import at_its_end, in_thread
-from slamhive.kube.reconciling.sweep_runs import Finished, state_of
+from slamhive.kube.reconciling.sweep_runs import Finished, is_archive_only, state_of
+from slamhive.model.base import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Mapping
+    from collections.abc import Container, Iterable, Mapping
 
     from slamhive.archive import Archive
     from slamhive.kube.api.kinds import Object
@@ -60,7 +61,7 @@ async def take_out(
         memory.kept.versions.pop(uid, None)
         memory.kept.retired.discard(uid)
         # Another operator deletes none of those that are to keep their objects.
-        if retired or (kept and left >= retention):
+        if retired or (kept and (left >= retention or is_archive_only(run))):
             memory.archived.add(Finished.of(run))
             continue
         memory.deleted[index] = Finished.of(run)
@@ -68,6 +69,26 @@ async def take_out(
         memory.lost |= set() if kept else {index}
         names.append(run["metadata"]["name"])
     return names
+
+
+async def archived_by_others(
+    memory: SweepMemory, archive: Archive | None, uid: str, missing: Iterable[int]
+) -> bool:
+    """Tell whether the archive has runs that were in flight when they were last seen here.
+
+    Args:
+        memory: what is remembered of the Sweep.
+        archive: where finished runs are kept, if anywhere.
+        uid: the Sweep's.
+        missing: points whose runs are gone.
+
+    Raises:
+        ArchiveAway: the archive does not answer.
+    """
+    if archive is None:
+        return False
+    names = [memory.plan.point(index).name for index in missing]
+    return any(record.sweep_uid == uid for record in await in_thread(archive.by_names, names))
 
 
 def give_up(memory: SweepMemory, index: int) -> str:
@@ -91,16 +112,12 @@ def remark(memory: SweepMemory) -> str:
     """Return a sentence on the runs that were deleted by hand; empty where nothing is missing."""
     count, lost = memory.deletions, len(memory.lost)
     if not count:
-        return f"nothing is left of {_runs(lost)} that were done" if lost else ""
+        return f"nothing is left of {plural(lost, 'run')} that were done" if lost else ""
     left = f"nothing is left of {lost}" if lost else "their results are in the archive"
-    return f"{_runs(count)} {'were' if count > 1 else 'was'} deleted by hand: {left}"
+    return f"{plural(count, 'run')} {'were' if count > 1 else 'was'} deleted by hand: {left}"
 
 
 def announcement(memory: SweepMemory, names: list[str]) -> str:
     """Return a sentence on runs that were found to be deleted by hand just now."""
     more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
     return f"deleted by hand: {', '.join(names[:_SHOWN])}{more}; in all {remark(memory)}"
-
-
-def _runs(count: int) -> str:
-    return f"{count} runs" if count != 1 else "1 run"

@@ -15,12 +15,15 @@ from slamhive.archive.remarks import NOTE, TAGS
 from slamhive.contract.settled import FILES, is_settled
 from slamhive.engine import PointState
 from slamhive.kube.api.kinds import MANAGER, Kind, Label, annotations_of, key_of, labels_of, reference
+from slamhive.kube.kueue import QUEUE_WAITS
+from slamhive.kube.pods import condition as condition_of
 from slamhive.kube.status import phase_of, rmse_of
+from slamhive.model.base import PRIORITY_CLASS, QUEUE_NAME
 from slamhive.model.results import Outcome, Phase
 from slamhive.model.status import BEST_LENGTH, BestRun
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from slamhive.kube.api.kinds import Key
     from slamhive.plan import Point
@@ -29,10 +32,15 @@ ASKED = "slamhive.io/asked"
 """Annotation of runs whose spec holds what took effect: the input options that were asked for, as JSON."""
 SAME_AS = "slamhive.io/same-as"
 """Annotation of runs that ask for what another run of their Sweep has: its name, whose result they take."""
+ARCHIVE_ONLY = "slamhive.io/archive-only"
+"""Annotation of runs beyond their Sweep's retention, whose objects are told neither of their end nor of their
+result: the archive is, and the objects go."""
 OWN_PREFIX = "slamhive.io/"
 
 
-def run_body(sweep: dict[str, Any], point: Point, slot: int, twin: str | None = None) -> dict[str, Any]:
+def run_body(
+    sweep: dict[str, Any], point: Point, slot: int, twin: str | None = None, *, archive_only: bool = False
+) -> dict[str, Any]:
     """Return the MappingRun of a point.
 
     Args:
@@ -40,6 +48,7 @@ def run_body(sweep: dict[str, Any], point: Point, slot: int, twin: str | None = 
         point: the point.
         slot: number of its place among those in flight.
         twin: name of the run that asks for the same and was done before, if any.
+        archive_only: whether it is beyond the retention.
     """
     meta = sweep["metadata"]
     given = (sweep["spec"].get("template") or {}).get("metadata") or {}
@@ -56,18 +65,26 @@ def run_body(sweep: dict[str, Any], point: Point, slot: int, twin: str | None = 
     own = {} if kept else {FILES: "Delete"}
     own |= {ASKED: json.dumps(point.asked)} if point.asked else {}
     own |= {SAME_AS: twin} if twin else {}
+    own |= {ARCHIVE_ONLY: "true"} if archive_only else {}
     return {
         "apiVersion": Kind.MAPPING_RUN.api_version,
         "kind": str(Kind.MAPPING_RUN),
         "metadata": {
             "name": point.name,
             "namespace": meta["namespace"],
-            "labels": _passed(given.get("labels")) | {str(key): value for key, value in labels.items()},
+            "labels": _queue(meta)
+            | _passed(given.get("labels"))
+            | {str(key): value for key, value in labels.items()},
             "annotations": _passed(given.get("annotations")) | own,
             "ownerReferences": [reference(Kind.SWEEP, sweep, controller=True)],
         },
         "spec": spec,
     }
+
+
+def is_archive_only(run: Mapping[str, Any]) -> bool:
+    """Tell whether a run is beyond its Sweep's retention, so that the archive alone will have its result."""
+    return annotations_of(run).get(ARCHIVE_ONLY) == "true"
 
 
 def asked_of(run: Mapping[str, Any]) -> dict[str, Any]:
@@ -97,14 +114,13 @@ def state_of(run: Mapping[str, Any]) -> PointState:
 _STILL = {"Accepted": False, "Admitted": False, "ReconcileError": True}
 
 
-def standing_still(runs: Mapping[int, dict[str, Any]], failing: Mapping[Key, str]) -> str | None:
+def standing_still(active: Sequence[dict[str, Any]], failing: Mapping[Key, str]) -> str | None:
     """Return the number of runs in flight that don't go on, and what keeps the first; None where all do.
 
     Args:
-        runs: runs by point.
+        active: runs in flight.
         failing: what keeps objects from going on, also where their statuses can't say it.
     """
-    active = [run for _, run in sorted(runs.items()) if state_of(run) is PointState.ACTIVE]
     told = ((run, failing.get(key_of(Kind.MAPPING_RUN, run)) or _why_still(run)) for run in active)
     still = [(run["metadata"]["name"], why) for run, why in told if why]
     if not still:
@@ -119,6 +135,22 @@ def _why_still(run: Mapping[str, Any]) -> str | None:
         if item["type"] in _STILL and item["status"] == str(_STILL[item["type"]]):
             return str(item.get("message") or item["reason"])
     return None
+
+
+def held_back(active: Sequence[dict[str, Any]]) -> str | None:
+    """Return the number of runs in flight that wait in a queue, and why the first; None where none does."""
+    waiting = [(run["metadata"]["name"], why) for run in active if (why := why_held_back(run))]
+    if not waiting:
+        return None
+    name, why = waiting[0]
+    return f"{len(waiting)} of {len(active)} runs in flight wait in a queue; {name}: {why}"
+
+
+def why_held_back(run: Mapping[str, Any]) -> str | None:
+    """Return the reason that a run in flight waits in a queue; None where it waits in none."""
+    found = condition_of(run, "Scheduled") or {}
+    held = found.get("status") == "False" and found.get("reason") == QUEUE_WAITS
+    return str(found.get("message") or QUEUE_WAITS) if held else None
 
 
 def slots_used(runs: Iterable[Mapping[str, Any]]) -> set[int]:
@@ -214,6 +246,12 @@ def _best_entry(run: Mapping[str, Any], result: Mapping[str, Any]) -> BestRun | 
         algorithm=run["spec"]["algorithmRef"]["name"],
         dataset=run["spec"]["datasetRef"]["name"],
     )
+
+
+def _queue(meta: Mapping[str, Any]) -> dict[str, str]:
+    """Return the labels by which a queue knows what belongs to a Sweep: its own hold for its runs."""
+    labels = meta.get("labels") or {}
+    return {name: labels[name] for name in (QUEUE_NAME, PRIORITY_CLASS) if name in labels}
 
 
 def _passed(given: Mapping[str, str] | None) -> dict[str, str]:

@@ -18,7 +18,12 @@ from slamhive.engine import PointState
 from slamhive.kube.api.encoding import encode
 from slamhive.kube.api.kinds import annotations_of
 from slamhive.kube.reconciling.archiving import KeptRuns, in_thread
-from slamhive.kube.reconciling.sweep_runs import Finished, SweepTally, decode_points, point_of
+from slamhive.kube.reconciling.sweep_runs import (
+    Finished,
+    SweepTally,
+    decode_points,
+    point_of,
+)
 from slamhive.kube.reconciling.sweep_search import SearchMemory, read_trials, require_room, written_trials
 from slamhive.kube.status import moment
 from slamhive.model.errors import InputError, UnknownNameError
@@ -33,6 +38,7 @@ if TYPE_CHECKING:
     from slamhive.archive import Archive
     from slamhive.kube.api.kinds import Object
     from slamhive.model.search import Trial
+    from slamhive.model.status import SweepShare
     from slamhive.model.sweep import Axis, Sweep
 
 _READ_AT_ONCE = 500
@@ -62,6 +68,7 @@ class SweepMemory:
         replaced: UIDs of runs that were deleted and are done again, by point: their records go then.
         lost: points that are done, of whose runs neither object nor record is left.
         search: what is remembered of its search, where it is one; ``order`` is empty then.
+        share: what it says of its share of the cluster.
     """
 
     plan: Plan
@@ -82,6 +89,7 @@ class SweepMemory:
     replaced: dict[int, set[str]] = field(default_factory=dict)
     lost: set[int] = field(default_factory=set)
     search: SearchMemory | None = None
+    share: SweepShare | None = None
 
     @property
     def most_runs(self) -> int:

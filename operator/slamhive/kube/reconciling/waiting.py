@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slamhive.engine import AttemptEnd
 from slamhive.kube.api.errors import REFUSALS, ApiError, means_quota
+from slamhive.kube.kueue import QUEUE_WAITS
 from slamhive.kube.observing import NO_POD
 from slamhive.kube.pods import Waiting
 from slamhive.kube.reports import clean
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 POD_SECONDS = 5.0
 """Time in which any new Job has no pod: to ask for Events then would cost a call for each Job."""
 ROOM_SECONDS = 60.0
+QUEUE_SECONDS = 60.0
+"""Time after which the reason why a queue lets nothing in is asked for again."""
 AGAIN_SECONDS = 15.0
 
 
@@ -73,9 +76,11 @@ async def patience(
         return Patience()
     waited = cluster.clock() - (waiting.since or 0.0)
     again, grace = None, cluster.settings.image_pull_grace_seconds
-    if lacks_pod(waiting) and job is not None:
-        if waited < POD_SECONDS:
+    if job is not None and waiting.reason in {NO_POD, QUEUE_WAITS}:
+        if waited < POD_SECONDS:  # most queues, too, let in at once what they have room for
             return Patience(seconds=POD_SECONDS - waited)
+        if waiting.reason == QUEUE_WAITS:
+            return Patience(await cluster.workloads.explained(job, waiting), QUEUE_SECONDS)
         waiting = await _explained(cluster, job, waiting)
         again, grace = AGAIN_SECONDS, cluster.settings.refusal_grace_seconds
     if waiting.end is None:
@@ -87,11 +92,6 @@ async def patience(
     if left <= 0:
         return Patience(waiting, end=waiting.end)
     return Patience(waiting, soonest(left, again))
-
-
-def lacks_pod(waiting: Waiting | None) -> bool:
-    """Tell whether what is waited for is a Job's pod."""
-    return waiting is not None and waiting.reason == NO_POD
 
 
 async def _explained(cluster: Cluster, job: dict[str, Any], waiting: Waiting) -> Waiting:

@@ -10,6 +10,7 @@
     environments/       virtual environments of algorithms, by content
     runs/SWEEP/RUN/     one folder a run
     runner.lock         held by commands at work here: by many that share the home, or one that is alone
+    gates/              when gates that do runs again began (`cli.gating.repeating`)
     leases/             what each of them holds (`local.leases`)
 
 docs/home.md has all of them, and what may go.

@@ -161,10 +161,3 @@ def _machine() -> str:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     except OSError:
         return platform.node()
-
-
-def processors_text(numbers: object) -> str | None:
-    """Return the processors that a supervisor was told, in words; None where that isn't known."""
-    if not isinstance(numbers, list) or not all(type(number) is int for number in numbers):
-        return None
-    return ",".join(map(str, sorted(numbers))) or None

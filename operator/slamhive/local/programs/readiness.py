@@ -26,7 +26,7 @@ from slamhive.model.extras import how_to_install
 from slamhive.model.readiness import ReadinessRow, State, limited, missing, there
 from slamhive.monitor.measuring.cgroup import make_run_cgroup
 from slamhive.monitor.measuring.hierarchy import cpu_quota, own_hierarchies
-from slamhive.monitor.measuring.machine import cpu_model
+from slamhive.monitor.measuring.machine import SYSTEM, cpu_model, governors, turbo
 from slamhive.monitor.measuring.processes import identify
 from slamhive.monitor.measuring.sources import read_number
 
@@ -58,7 +58,6 @@ _GOOD_FOR = {
     "maps": "comparing maps",
     "uv": "environments of algorithms in a third of the time",
 }
-_CPU = Path("/sys/devices/system/cpu")
 
 
 def python() -> ReadinessRow:
@@ -236,26 +235,21 @@ def cores() -> ReadinessRow:
     return there("cores", f"{found}; {len(usable)} runs of one core at a time")
 
 
-def clock(folder: Path = _CPU) -> ReadinessRow:
+def clock(folder: Path = Path(SYSTEM)) -> ReadinessRow:
     """Look at what changes the processor's clock: governor and turbo."""
-    governors = sorted({_word(path) for path in folder.glob("cpu[0-9]*/cpufreq/scaling_governor")} - {""})
-    turbo = None
-    if (off := _word(folder / "intel_pstate/no_turbo")) in {"0", "1"}:
-        turbo = off == "0"
-    elif (boost := _word(folder / "cpufreq/boost")) in {"0", "1"}:
-        turbo = boost == "1"
-    if not governors and turbo is None:
+    words, clocked_up = governors(str(folder)), turbo(str(folder))
+    if not words and clocked_up is None:
         return ReadinessRow(
             *("clock", State.UNKNOWN, "the kernel tells neither governor nor turbo, as in virtual machines"),
             costs="other machines on the same processor may change CPU seconds: compare repetitions",
         )
-    parts = [f"governor {', '.join(governors)}"] if governors else []
-    parts += [] if turbo is None else [f"turbo {'on' if turbo else 'off'}"]
+    parts = [f"governor {', '.join(words)}"] if words else []
+    parts += [] if clocked_up is None else [f"turbo {'on' if clocked_up else 'off'}"]
     costs, helps = [], []
-    if governors and governors != ["performance"]:
+    if words and words != ["performance"]:
         helps.append("cpupower frequency-set --governor performance")
         costs.append("the clock follows the load")
-    if turbo:
+    if clocked_up:
         costs.append("a run beside others is clocked lower than one alone")
         helps.append(
             f"echo 1 > {folder / 'intel_pstate/no_turbo'}"
@@ -365,13 +359,6 @@ def unneeded() -> ReadinessRow:
         *("browser, TeX", State.UNNEEDED, "pages are shown by any browser, also of another machine"),
         helps="tables for papers are compiled wherever the paper is",
     )
-
-
-def _word(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8").strip()
-    except OSError:
-        return ""
 
 
 def size_text(count: float) -> str:

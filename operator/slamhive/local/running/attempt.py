@@ -26,13 +26,13 @@ from slamhive.contract.posefiles import FRAMES
 from slamhive.contract.trajectory import check_trajectory
 from slamhive.data.files.erasing import erase
 from slamhive.engine import AttemptEnd
-from slamhive.local.programs.cores import processors_text
 from slamhive.local.programs.playing import Player
 from slamhive.local.programs.supervision import Supervised
 from slamhive.model.base import quantity, seconds
 from slamhive.model.errors import SystemFault
 from slamhive.model.results import Frames, Reason, TrajectoryInfo, Usage, remark_of
 from slamhive.monitor import SupervisorSpec, end_orphans
+from slamhive.monitor.measuring.machine import processors_text
 from slamhive.monitor.spec import OUTPUT_LIMIT
 from slamhive.playback.judging import judge
 from slamhive.playback.player.ros2.shm import remove_dead_segments

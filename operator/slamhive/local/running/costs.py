@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from slamhive.model.dataset import Dataset
     from slamhive.plan.paths import Settings
 
-_SPARE = ("input.pace", "input.rate", "resources.memory", "resources.gpu")
+_SPARE = ("input.pace", "input.rate", "resources.memory", "resources.gpu", "resources.exclusiveNodes")
 """Options that are told otherwise, or that change no cost."""
 
 NOW = "now"
@@ -162,11 +162,13 @@ class PlannedSetting(NamedTuple):
         setting: what is predicted from.
         limit: s that its program may take.
         cpu: its processors, as a manifest writes them.
+        alone: whether nothing runs beside it.
     """
 
     setting: Setting
     limit: float
     cpu: str
+    alone: bool
 
 
 def planned_settings(
@@ -219,9 +221,11 @@ def planned_settings(
             options=options,
             changed=changed,
         )
-        resources = settings.get(("resources", "cpu"), whole.get("resources", {}).get("cpu", "1"))
+        resources = whole.get("resources", {})
+        cpu = settings.get(("resources", "cpu"), resources.get("cpu", "1"))
+        alone = settings.get(("resources", "exclusiveNodes"), resources.get("exclusiveNodes"))
         limit = seconds(settings.get(("timeout",), whole.get("timeout", "1h")))
-        found.append(PlannedSetting(setting, limit, str(resources)))
+        found.append(PlannedSetting(setting, limit, str(cpu), bool(alone)))
     return found
 
 

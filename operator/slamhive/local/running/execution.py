@@ -20,6 +20,7 @@ from slamhive.engine import (
     Decision,
     Evaluate,
     Finish,
+    LoadConditions,
     Prepare,
     RunObserved,
     RunState,
@@ -48,7 +49,6 @@ from slamhive.model.results import (
     RunRecord,
 )
 from slamhive.model.sensors import SensorMode
-from slamhive.monitor.measuring.machine import cpu_model
 from slamhive.plan import recording_fields
 
 if TYPE_CHECKING:
@@ -449,7 +449,8 @@ class RunDriver:
                 if isinstance(error, UnmeasurableError):
                     noted = [one.replace(problem=str(error)) for one in base.evaluations]
                     base = base.replace(evaluations=noted)
-            taken = taken_over(progress.twin, self._recording(), [cpu_model()])
+            here = LoadConditions.of(progress.provenance)
+            taken = taken_over(progress.twin, self._recording(), [here])
             return base.replace(**taken, results=results)
         if not ended:
             return base

@@ -163,6 +163,8 @@ def _predict(found: Forecast, known: Sequence[Known], regression: Design, asked:
     found.unmeasured = sorted({setting.dataset for setting in settings if not setting.frames})
     limits = np.array([one.limit for one in asked.planned])
     needs = np.array([whole_cores(one.cpu) for one in asked.planned])
+    alone = np.array([one.alone for one in asked.planned])
+    held = needs if asked.cores is None else np.where(alone, asked.cores, needs)
     for quantity in Quantity:
         runs = sum(quantity in one.costs for one in related)
         # Other algorithms' costs alone say nothing of these: rather no figure than a guess.
@@ -170,7 +172,7 @@ def _predict(found: Forecast, known: Sequence[Known], regression: Design, asked:
         if prediction is None:
             continue
         if quantity is Quantity.WALL:
-            draws, found.at_a_time = _wall(prediction, asked, limits, needs, found.idle)
+            draws, found.at_a_time = _wall(prediction, asked, limits, held, found.idle)
         elif quantity is Quantity.MEMORY:
             draws = prediction.largest()
         else:
@@ -213,7 +215,7 @@ def _wall(
         prediction: of the programs' wall time.
         asked: the runs.
         limits: s that a run of each setting may take.
-        needs: cores of each.
+        needs: cores of each that no other run has.
         idle: s until a program begins.
     """
     # A run never takes longer than its limit, whatever is predicted for it.

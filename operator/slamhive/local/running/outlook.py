@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 from slamhive.data.recordings.version import VERSION
 from slamhive.data.store.datasets import is_made
 from slamhive.local.running.execution import PlannedPoint
+from slamhive.model.base import plural
 from slamhive.model.errors import SlamHiveError
 from slamhive.model.results import Phase
 from slamhive.plan import content_hash
@@ -342,7 +343,7 @@ def sentences(
     """
     asked = set(again)
     found = _stale(outlook, points, asked)
-    found += [f"{_runs(len(asked))} done again, as asked"] if asked else []
+    found += [f"{plural(len(asked), 'run')} done again, as asked"] if asked else []
     found += _new(outlook, points) if tells_new else []
     equal = len(set(outlook.of(RunStanding.EQUAL)) - asked)
     found += [f"{equal:,} {'takes' if equal == 1 else 'take'} over an equal result"] if equal else []
@@ -352,7 +353,7 @@ def sentences(
     as_before = len(kept) - faults
     if as_before:
         told = f" ({failed:,} of them failed)" if failed else ""
-        noun = f"{as_before:,}" if found else _runs(as_before)
+        noun = f"{as_before:,}" if found else plural(as_before, "run")
         found.append(f"{noun} {_are(as_before)} as before{told}")
     found += [f"{faults:,} that the machine failed {_are(faults)} tried again"] if faults else []
     found += [f"{left_out:,} {_are(left_out)} left out this time"] if left_out else []
@@ -373,7 +374,7 @@ def _stale(outlook: Outlook, points: Points, asked: set[int]) -> list[str]:
         # What a dataset or slamhive changed concerns every algorithm; a file is one algorithm's.
         named = " and ".join([", ".join(why[:-1]), why[-1]] if len(why) > 1 else why)
         count = len(indices)
-        found.append(f"{_runs(count)} of {algorithm} {_are(count)} stale: {named} changed{since}")
+        found.append(f"{plural(count, 'run')} of {algorithm} {_are(count)} stale: {named} changed{since}")
     return found
 
 
@@ -383,7 +384,7 @@ def _new(outlook: Outlook, points: Points) -> list[str]:
     if not new:
         return []
     if len(new) == len(points):
-        return [f"{_runs(len(new))}, all new" if len(new) > 1 else "1 new run"]
+        return [f"{plural(len(new), 'run')}, all new" if len(new) > 1 else "1 new run"]
     of_new: Counter[tuple[str, Any]] = Counter(
         pair for index in new for pair in _settings(points.point(index))
     )
@@ -418,10 +419,6 @@ def moment_text(moment: datetime, now: datetime | None = None) -> str:
     here = moment.astimezone()
     today = (now or datetime.now().astimezone()).date()
     return here.strftime("%H:%M" if here.date() == today else "%Y-%m-%d %H:%M")
-
-
-def _runs(count: int) -> str:
-    return "1 run" if count == 1 else f"{count:,} runs"
 
 
 def _are(count: int) -> str:

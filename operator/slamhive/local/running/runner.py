@@ -258,7 +258,8 @@ class Runner:
     def _resume(self, job: Job, looking: Looking) -> None:
         """Mark the points that are done; from now on this is the current version of the sweep."""
         archive, sweep, wish = self._bench.archive, job.sweep, self._wish
-        job.at_a_time = min(self._parallelism, sweep.spec.parallelism or self._parallelism)
+        most = 1 if sweep.spec.runs_alone else self._parallelism
+        job.at_a_time = min(most, sweep.spec.parallelism or most)
         archive.put_sweep(
             SweepRecord(
                 uid=job.uid,
@@ -433,7 +434,10 @@ class Runner:
         try:
             point = job.points.point(index)
             self._watcher.step(job, index, RunStep.CORES)
-            wanted = whole_cores(point.spec["resources"]["cpu"])
+            resources = point.spec["resources"]
+            # Who runs alone holds all cores, of which it uses its own: nobody else gets any.
+            alone = resources.get("exclusiveNodes")
+            wanted = self._cores.size if alone else whole_cores(resources["cpu"])
             cores = self._cores.take(wanted, lambda: job.uid in self._stopped)
             if cores is None:
                 self._events.put(_PointEnd(job, index, None))
@@ -466,7 +470,8 @@ class Runner:
             twin=job.twin(index),
             holding=self._cores.descriptors(cores),
         )
-        cpus = tuple(cpu for core in cores for cpu in core)
+        used = cores[: whole_cores(point.spec["resources"]["cpu"])]
+        cpus = tuple(cpu for core in used for cpu in core)
         driver = RunDriver(
             order,
             self._bench,

@@ -26,11 +26,11 @@ from slamhive.local.programs.versions import Versions
 from slamhive.local.running.measuring_apart import measuring_process
 from slamhive.model.base import quantity
 from slamhive.model.errors import InputError, SlamHiveError
-from slamhive.model.results import Provenance
+from slamhive.model.results import Machine, Provenance
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import SensorMode
 from slamhive.model.variant import suspicion
-from slamhive.monitor.measuring.machine import cpu_model
+from slamhive.monitor.measuring.machine import cpu_model, machine_report
 from slamhive.plan import algorithm_hash, content_hash
 
 if TYPE_CHECKING:
@@ -228,6 +228,8 @@ class Workbench:
             spec_hash=spec_hash,
             node=platform.node(),
             cpu_model=cpu_model(),
+            # No kubelet is here to keep others off a run's processors.
+            machine=Machine.model_validate(machine_report(exclusive=False)),
             slamhive_version=__version__,
         )
 

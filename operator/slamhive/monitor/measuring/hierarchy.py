@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from slamhive.monitor.measuring.machine import processors_of
 from slamhive.monitor.measuring.processes import read_file
 from slamhive.monitor.measuring.sources import field, read_number
 
@@ -70,6 +72,23 @@ def hierarchies_of(process: int | str) -> list[Hierarchy]:
 def cpu_quota() -> float | None:
     """Return the number of processors that cgroups allow us, as containers limit it; None for no limit."""
     return _least(lambda directory: _quota_v2(directory) or _quota_v1(directory))
+
+
+def own_cpuset_directory() -> str | None:
+    """Return the directory of our own cgroup that tells its processors, None where none does."""
+    try:
+        trees = own_hierarchies()
+    except (OSError, ValueError):
+        return None
+    return next((tree.directory for tree in trees if cpuset(tree.directory)), None)
+
+
+def cpuset(directory: str) -> set[int] | None:
+    """Return the processors that a cgroup may use, None where its files don't tell."""
+    for name in ("cpuset.cpus.effective", "cpuset.effective_cpus"):
+        with suppress(OSError):
+            return processors_of(read_file(f"{directory}/{name}").decode("ascii", "replace").strip())
+    return None
 
 
 def memory_limit() -> int:

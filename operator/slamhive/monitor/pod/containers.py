@@ -15,7 +15,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from slamhive.monitor.measuring.cgroup import CgroupV1, CgroupV2
-from slamhive.monitor.measuring.hierarchy import directory_processes
+from slamhive.monitor.measuring.hierarchy import cpuset, directory_processes
 from slamhive.monitor.measuring.proc import ProcSource
 from slamhive.monitor.measuring.processes import (
     ProcessIdentity,
@@ -177,6 +177,11 @@ class Container:
             return os.sched_getaffinity(self.first.pid)
         return set()
 
+    def cpuset(self) -> set[int] | None:
+        """Return the processors that its cgroup lets it use, whatever it chose; None where nothing tells."""
+        found = map(cpuset, self._group.directories if self._group else ())
+        return next((one for one in found if one), None)
+
     def tasks(self) -> int:
         """Return the number of processes and, where the kernel counts them, threads."""
         if self._group is not None:
@@ -258,7 +263,7 @@ def attach_cgroup(root: str, pid: int) -> RunCgroup | None:
 
 def _attach_v1(root: str) -> RunCgroup | None:
     held: dict[str, str] = {}
-    for controller in ("cpuacct", "memory", "cpu", "pids"):
+    for controller in ("cpuacct", "memory", "cpu", "pids", "cpuset"):
         names = ("cpu,cpuacct", "cpuacct,cpu") if controller in ("cpu", "cpuacct") else ()
         for name in (controller, *names):
             if controller not in held and (directory := _hold(f"{root}/{name}")) is not None:

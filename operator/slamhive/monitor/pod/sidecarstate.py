@@ -27,6 +27,8 @@ class SidecarState:
         kernel_peak: The kernel's own peak of memory, bytes.
         oom_kills: Processes killed for want of memory.
         throttled: Time in which its CPU limit held it back, s.
+        cpuset: Processors that its cgroup lets it use, None where that isn't known.
+        exclusive: Nothing else of the kubelet's may use them, None where that isn't known.
         reader: CPU seconds of threads that call themselves the reader, None where none does.
         suspicions: What speaks against the figures.
         stop: The decision to end it: reason and sentence.
@@ -45,6 +47,8 @@ class SidecarState:
     kernel_peak: int | None = None
     oom_kills: int = 0
     throttled: float | None = None
+    cpuset: set[int] | None = None
+    exclusive: bool | None = None
     reader: float | None = None
     suspicions: list[str] = field(default_factory=list)
     stop: StopDecision | None = None

@@ -32,6 +32,7 @@ _TAKEN_OVER = (
     "frames",
     "played",
     "cpuModel",
+    "machine",
     "pod",
 )
 # Of these, in this order, as much goes as must; what can't be shortened goes altogether.
@@ -40,6 +41,7 @@ _GIVEN_UP = (
     "trajectoryProblem",
     "metricsProblem",
     "cpuModel",
+    "machine",
     "frames",
     "played",
     "trajectory",

@@ -10,6 +10,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from slamhive.monitor.measuring.accounting import Accounting, Contention, SampleTimes
+from slamhive.monitor.measuring.hierarchy import cpuset, own_cpuset_directory
 from slamhive.monitor.measuring.interference import Interference
 from slamhive.monitor.measuring.reader import ReaderClock
 from slamhive.monitor.outcome import StopDecision, out_of_memory
@@ -54,6 +55,7 @@ class Watch:
             state.note(f"{USAGE} could not be written: {error.strerror}")
             self._table = UsageTable(os.devnull)
         state.source = container.source.name
+        self._own_cpuset = own_cpuset_directory()
         self._contention = Contention(container.processors(), container.source, now)
 
     def run(self, signals: Signals) -> bool:
@@ -162,6 +164,17 @@ class Watch:
         if self._table.error is not None:
             state.note(f"{USAGE} is incomplete: {self._table.error.strerror}")
 
+    def _look_at_processors(self) -> None:
+        """See which processors the container may use, and whether we may use them too.
+
+        The kubelet's static CPU manager gives a container of whole processors some of its own, and us, who
+        ask for less, the others. By the cgroups, which the algorithm can't write: affinities it can.
+        """
+        theirs, ours = self._container.cpuset(), self._own_cpuset and cpuset(self._own_cpuset)
+        if theirs and ours:
+            self._state.cpuset = theirs
+            self._state.exclusive = self._state.exclusive is not False and theirs.isdisjoint(ours)
+
     def _save(self) -> None:
         """Keep what is known now."""
         state, container = self._state, self._container
@@ -169,6 +182,7 @@ class Watch:
         state.contended = self._contention.seconds
         state.kernel_peak = container.source.kernel_peak() or state.kernel_peak
         state.oom_kills = max(state.oom_kills, container.oom_kills())
+        self._look_at_processors()
         throttled = container.throttled()
         state.throttled = state.throttled if throttled is None else throttled
         state.accounting = self.accounting

@@ -18,6 +18,7 @@ from slamhive.model.base import Model, explain
 from slamhive.model.canonical import digest, normalize
 from slamhive.model.errors import InputError
 from slamhive.model.reading import read_text
+from slamhive.model.results import Machine
 from slamhive.monitor.programs.orphans import write_atomically
 from slamhive.reporting.gate.foreign import foreign_baseline
 
@@ -85,6 +86,7 @@ class Baseline(Model):
 
     Attributes:
         processor: model of the processor that all runs had, None where they had several or none is known.
+        machine: what else says how load was measured, the same for all runs.
         recorded: day.
         version: of slamhive.
         cells: settings on datasets.
@@ -93,6 +95,7 @@ class Baseline(Model):
 
     baseline: Literal["slamhive-baseline/v1"] = SCHEMA
     processor: str | None = None
+    machine: Machine | None = None
     recorded: str | None = None
     version: str | None = None
     cells: list[BaselineCell] = Field(min_length=1, max_length=100_000)

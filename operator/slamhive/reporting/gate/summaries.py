@@ -15,6 +15,7 @@ from slamhive.analysis.gating.deciding import GateAnswer
 from slamhive.analysis.gating.figures import FAILURES, MarginScale
 from slamhive.analysis.metrics import Metric
 from slamhive.contract.lines import printable
+from slamhive.model.base import plural
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -63,7 +64,7 @@ class GateReport:
         """Answer in a sentence, with the figures that decided it."""
         named = [one.figure.title for one in self.findings if one.answer is self.answer]
         runs = sum(cell.now.count for cell in self.cells)
-        count = f"{runs} run{'' if runs == 1 else 's'}"
+        count = plural(runs, "run")
         what = (
             f": {', '.join(named)}" if self.answer in {GateAnswer.WORSE, GateAnswer.UNKNOWN} and named else ""
         )

@@ -176,8 +176,10 @@ class Instance:
                 (item.evaluation, item.values["ate"]["rmse"] == error_of(record.uid))
                 for item in record.results
             )
-            # The archive has no conditions; those of its object, as last seen, are still what came of it.
-            conditions = _conditions(objects[record.uid]["status"])
+            # The archive has no conditions; those of its object, as last seen, are still what came of it. One
+            # beyond the retention is not told of its end.
+            told = objects[record.uid].get("status") or {}
+            conditions = _conditions(told) if told.get("completionTime") else ()
             end = (str(record.phase), record.reason, record.attempts, 0, cpu, results, conditions)
             ends.append((str(record.index), end))
         ends += [("sweep", _standing(obj)) for obj in seen.alive("sweeps", namespace)]

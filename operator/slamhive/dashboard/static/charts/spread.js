@@ -123,3 +123,44 @@ export function suspectChart(items) {
     }),
   };
 }
+
+/**
+ * Return the chart of nodes' CPU time by that of others of their kind, and its height.
+ * @param {Api.NodeStanding[]} items of /api/v1/analysis/suspects/nodes
+ * @returns {Drawn}
+ */
+export function nodesChart(items) {
+  const shown = items.slice(0, MOST);
+  return {
+    height: 100 + shown.length * 30,
+    option: ({ width }) => ({
+      grid: { left: labelRoom(width, 280), right: 30, top: 26, bottom: 50 },
+      tooltip: {
+        trigger: 'item',
+        formatter: ({ data }) => (data?.item ? clip(data.item.sentence, 160) : ''),
+      },
+      xAxis: { type: 'value', scale: true, name: 'CPU time by the others’', nameGap: 26 },
+      yAxis: rowAxis(
+        shown.map((item) => item.node),
+        width,
+        280,
+      ),
+      series: [
+        rowLines(
+          shown.flatMap(({ low, high }, at) => (low === null || high === null ? [] : [[low, high, at]])),
+          { stroke: COLOURS[5], lineWidth: 5, opacity: 0.45 },
+        ),
+        {
+          type: 'scatter',
+          symbolSize: 11,
+          data: shown.map((item, at) => ({
+            value: [item.ratio, at],
+            item,
+            itemStyle: { color: COLOURS[item.verdict === 'slower' ? 4 : 0] },
+          })),
+          markLine: lineAtOne('as the others'),
+        },
+      ],
+    }),
+  };
+}

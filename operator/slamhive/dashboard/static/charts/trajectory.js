@@ -78,24 +78,26 @@ const withErrors = (track, a, b) =>
   track[a].map((value, at) => [value, track[b][at], track.error?.[at] ?? '-']);
 
 /**
- * Return the ground truths of runs of a dataset, one for each frame that poses are of, as the LiDAR's and
- * the IMU's.
- * @param {Array<{of: string, reference: Api.Track|null}>} runs of: what has a frame
+ * Return the ground truths of runs, one for each dataset and each frame that poses are of, as the LiDAR's
+ * and the IMU's.
+ * @param {Array<{of: string, dataset?: string, reference: Api.Track|null}>} runs of: what has a frame
  * @returns {Truth[]}
  */
 export function truthsOf(runs) {
-  /** @type {Array<{track: Api.Track, of: Set<string>}>} */
+  /** @type {Array<{track: Api.Track, dataset?: string, of: Set<string>}>} */
   const found = [];
-  for (const { of, reference: track } of runs) {
+  for (const { of, dataset, reference: track } of runs) {
     if (!track) continue;
-    const same = found.find((one) => !apart(one.track, track));
+    const same = found.find((one) => one.dataset === dataset && !apart(one.track, track));
     if (same) same.of.add(of);
-    else found.push({ track, of: new Set([of]) });
+    else found.push({ track, dataset, of: new Set([of]) });
   }
-  return found.map(({ track, of }) => ({
-    track,
-    name: found.length > 1 ? `ground truth of ${[...of].join(', ')}` : 'ground truth',
-  }));
+  const several = new Set(found.map((one) => one.dataset)).size > 1;
+  return found.map(({ track, dataset, of }) => {
+    const frames = found.filter((one) => one.dataset === dataset).length > 1;
+    const whose = [frames && [...of].join(', '), several && dataset].filter(Boolean).join(' on ');
+    return { track, name: whose ? `ground truth of ${whose}` : 'ground truth' };
+  });
 }
 
 /**

@@ -132,10 +132,12 @@ const TITLES = new Map(
   Object.entries({
     'input.frameRate': 'frame rate [Hz]',
     'provenance.cpuModel': 'processor',
+    'provenance.machine.exclusiveCores': 'exclusive cores',
+    'provenance.machine.smt': 'SMT',
     'usage.includesReader': 'reader included',
   }),
 );
-const PREFIX = /^(parameters|input|resources|dataset\.attributes|label|provenance)\./;
+const PREFIX = /^(parameters|input|resources|dataset\.attributes|label|provenance\.machine|provenance)\./;
 
 /**
  * Return the name of a column for people, with its unit.

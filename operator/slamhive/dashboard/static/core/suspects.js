@@ -15,6 +15,22 @@ const ADDRESS = '/api/v1/analysis/suspects';
 export const useSuspects = () => useData(ADDRESS).data?.items ?? [];
 
 /**
+ * Return sentences on nodes that measure another load than others of their kind, where load is shown; []
+ * until they are known.
+ * @param {string[]} columns that are shown
+ * @returns {string[]}
+ */
+export function useUnlikeNodes(columns) {
+  const isLoad = columns.some((name) => name.startsWith('usage.'));
+  /** @type {Api.NodeStanding[]} */
+  const nodes = useData(isLoad ? `${ADDRESS}/nodes` : null).data?.items ?? [];
+  /** @param {string} verdict */
+  const named = (verdict) => nodes.filter((one) => one.verdict === verdict).map((one) => one.sentence);
+  const slower = named('slower');
+  return slower.length > 0 ? slower : named('faster');
+}
+
+/**
  * Return the suspect that something belongs to; undefined where there is none.
  * @param {Api.Suspect[]} suspects
  * @param {Record<string, Api.Value|undefined>} keys algorithm, sensors, dataset, evaluation as far as they

@@ -9,7 +9,10 @@ import { html, useMemo } from '../core/ui.js';
 
 /** What tells single runs apart. */
 export const EACH_RUN = 'algorithm,sensors,run';
-const NARROWING = ['dataset', 'evaluation', 'sweep', 'algorithm', 'sensors'];
+/** What choices are by; a site has figures for one choice of some of them. */
+const NARROWING = SITE
+  ? ['dataset', 'sweep', 'algorithm']
+  : ['dataset', 'evaluation', 'sweep', 'algorithm', 'sensors'];
 const MOST_OFFERED = 12;
 
 /**
@@ -205,6 +208,7 @@ function Behind({ runs, keyed, dataset }) {
 export function Narrowing({ columns, error: fault }) {
   const { query } = useAddress();
   if (!fault?.message.includes('are measured again at a time')) return null;
+  if (SITE && query.filters().pairs.length > 0) return null;
   const column = NARROWING.map((name) => columns.find((one) => one.name === name)).find(
     (one) => one?.values && one.values.length > 1 && query.all(one.name).length !== 1,
   );

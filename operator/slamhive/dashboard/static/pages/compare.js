@@ -380,7 +380,10 @@ function pictures(runs, tracks, usage) {
   const datasets = new Set(present.map((one) => one.run.configuration?.dataset));
   const notes =
     datasets.size > 1
-      ? ['These runs are of several datasets: the ground truth drawn is that of the first.']
+      ? [
+          'These runs are of several datasets, each drawn with its own ground truth: ' +
+            'how far those are from each other says nothing.',
+        ]
       : [];
   for (const one of present)
     if (!one.track) notes.push(`${one.name} has no trajectory here${one.why ? `: ${one.why}` : ''}.`);
@@ -391,14 +394,13 @@ function pictures(runs, tracks, usage) {
    */
   const dataset = (one) => one.run.configuration?.dataset;
   const truths = truthsOf(
-    moved
-      .filter((one) => dataset(one) === dataset(moved[0]))
-      .map(({ run, track }) => ({
-        of: `${cell(settingOf(run, 'algorithm'))} (${cell(settingOf(run, 'sensors'))})`,
-        reference: track.reference,
-      })),
+    moved.map(({ run, track }) => ({
+      of: `${cell(settingOf(run, 'algorithm'))} (${cell(settingOf(run, 'sensors'))})`,
+      dataset: cell(settingOf(run, 'dataset')),
+      reference: track.reference,
+    })),
   );
-  if (truths.length > 1)
+  if (truths.length > Math.max(datasets.size, 1))
     notes.push('Poses of different frames, as of the LiDAR and the IMU, have a ground truth each.');
   const { zeros, title: axis } = shared(
     present.flatMap((one) =>

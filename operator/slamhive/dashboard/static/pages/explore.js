@@ -58,15 +58,16 @@ const FIELDS = ['x', 'y', 'colour', 'facet', 'down', 'across', 'outcomes'];
 
 /**
  * Return the settings of an address, with what is shown where it names nothing: the setting that was varied
- * most for one algorithm, as what algorithms have by default tells nothing but them, and who reached what.
+ * most for one algorithm, as what algorithms have by default tells nothing but them, if all runs have it, and
+ * who reached what.
  * @param {Query} query
- * @param {Pick<Api.Columns, 'items'|'varied'>} known facts about the columns
+ * @param {Pick<Api.Columns, 'items'|'varied'|'rows'>} known facts about the columns
  * @returns {Settings}
  */
-export function settingsOf(query, { items: columns, varied: settings }) {
+export function settingsOf(query, { items: columns, varied: settings, rows }) {
   const varied = columns.filter((one) => one.distinct > 1);
   const guess =
-    mostVaried(varied.filter((one) => isNumeric(one) && settings.includes(one.name))) ??
+    mostVaried(varied.filter((one) => isNumeric(one) && settings.includes(one.name) && one.count === rows)) ??
     varied.find((one) => one.name === cpuColumn(columns)) ??
     varied.find(isNumeric);
   /**

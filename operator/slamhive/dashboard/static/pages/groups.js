@@ -5,6 +5,7 @@ import { csvOf, useData } from '../core/api.js';
 import { clip, number, shortTitles } from '../core/format.js';
 import { foremost, useNarrow } from '../core/narrow.js';
 import { Download, Fault, Link, Notes, Table } from '../core/parts.js';
+import { useUnlikeNodes } from '../core/suspects.js';
 import { TruthLink } from '../core/truth.js';
 import { html } from '../core/ui.js';
 
@@ -150,6 +151,7 @@ export function GroupTable({ columns, set, filters }) {
       )
     : null;
   const state = useData(url);
+  const unlike = useUnlikeNodes(set.y.split(','));
   const narrow = useNarrow();
   if (!url) return null;
   const shown = state.data && groupTable(state.data);
@@ -189,7 +191,7 @@ export function GroupTable({ columns, set, filters }) {
           />
         `
       }
-      <${Notes} notes=${state.data?.notes} />
+      <${Notes} notes=${state.data && [...state.data.notes, ...unlike]} />
     </section>
   `;
 }

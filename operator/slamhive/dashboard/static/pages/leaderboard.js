@@ -20,7 +20,7 @@ import {
 } from '../core/parts.js';
 import { published } from '../core/questions.js';
 import { foremost, useNarrow } from '../core/narrow.js';
-import { Mark, suspectOf, useSuspects } from '../core/suspects.js';
+import { Mark, suspectOf, useSuspects, useUnlikeNodes } from '../core/suspects.js';
 import { TruthLink } from '../core/truth.js';
 import { html, useMemo } from '../core/ui.js';
 import { failureText, groupTable, onPhone } from './groups.js';
@@ -52,6 +52,7 @@ export default function Leaderboard() {
   const url = address('/api/v1/analysis/leaderboard', query.filters().with(set));
   const state = useData(url);
   const suspects = useSuspects();
+  const unlike = useUnlikeNodes([set.metric]);
   const all = columns.data?.items ?? [];
   /** @param {string} name */
   const wrong = (name) => (state.error?.field === name ? state.error : null);
@@ -140,7 +141,7 @@ export default function Leaderboard() {
           <${Timely} data=${state.data.timely} csv=${timelyCsv} />
           <${PublishedRows} filters=${query.filters()} metrics=${[state.data.metric]} />
           ${state.data.boards.length === 0 && html`<${NothingFits} />`}
-          <${Notes} notes=${state.data.notes} />
+          <${Notes} notes=${[...state.data.notes, ...unlike]} />
         `
         : !state.error && html`<${Waiting} />`
     }

@@ -447,7 +447,7 @@ function Trajectory({ base, results, name, cameras }) {
             surveyed=${data.points}
             byError=${true}
             csv=${csvOf(url)}
-            title=${name}
+            title="Trajectory"
           />
         </div>
         ${
@@ -459,7 +459,7 @@ function Trajectory({ base, results, name, cameras }) {
               height=${260}
               csv=${csvOf(url)}
               table=${trackTable(estimates)}
-              title=${`${name}: error over time`}
+              title="Error over time"
             />
           `
         }

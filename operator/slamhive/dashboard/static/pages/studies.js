@@ -95,7 +95,8 @@ const STUDIES = {
     settings: [],
     says:
       'Where what runs are measured by is the likelier one to be wrong: scales that are off 1 by the same ' +
-      'factor in all runs, and stretches of ground truth that different algorithms contradict together.',
+      'factor in all runs, nodes that need more CPU time than others of their kind, and stretches of ' +
+      'ground truth that different algorithms contradict together.',
   },
 };
 const MOST_SUBJECTS = 12;

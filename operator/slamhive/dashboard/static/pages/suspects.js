@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/** What runs are measured by and is the likelier one to be wrong: calibrations, and the ground truth. */
-import { suspectChart } from '../charts/spread.js';
+/** What runs are measured by and is the likelier one to be wrong: calibrations, nodes, ground truth. */
+import { nodesChart, suspectChart } from '../charts/spread.js';
 import { truthChart } from '../charts/truth.js';
 import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
@@ -13,9 +13,58 @@ import { html, useMemo } from '../core/ui.js';
 export const Suspects = (props) => html`
   <h2>Scales</h2>
   <${Scales} ...${props} />
+  <h2>Nodes</h2>
+  <${Nodes} />
   <h2>Ground truth</h2>
   <${Truths} />
 `;
+
+/** What nodes measure of equal runs: those that need more CPU time than others of their kind first. */
+function Nodes() {
+  const { query } = useAddress();
+  const url = address('/api/v1/analysis/suspects/nodes', query.filters());
+  const state = useData(url);
+  /** @type {Api.Nodes|null} */
+  const data = state.current;
+  const drawn = useMemo(() => data && nodesChart(data.items), [data]);
+  if (state.error) return html`<${Fault} error=${state.error} />`;
+  if (!data || !drawn) return html`<${Waiting} />`;
+  /** @type {TableColumn[]} */
+  const columns = [
+    { name: 'node', title: 'node', show: (name) => clip(name, 60) },
+    { name: 'kind', title: 'kind', show: (kind) => clip(kind, 120) },
+    {
+      name: 'sentence',
+      title: 'in words',
+      show: (text) => html`<span class="wrapped">${clip(text, 400)}</span>`,
+    },
+    { name: 'ratio', title: 'CPU time by the others’', kind: 'number' },
+    { name: 'low', title: 'at least', kind: 'number' },
+    { name: 'high', title: 'at most', kind: 'number' },
+    { name: 'settings', title: 'settings', kind: 'integer' },
+    { name: 'runs', title: 'runs', kind: 'integer' },
+  ];
+  return html`
+    <p class="quiet">
+      CPU time of a node’s runs by that of equal runs on other nodes with the same processor and clock. A
+      node is named when its whole interval is beyond 5 %; 95 in 100 times all intervals hold together.
+    </p>
+    ${
+      data.items.length > 0 &&
+      html`
+        <${Chart}
+          option=${drawn.option}
+          height=${drawn.height}
+          csv=${csvOf(url)}
+          table=${{ columns, rows: data.items }}
+          title="Nodes against others of their kind"
+        />
+        <${Table} columns=${columns} rows=${data.items} caption="Nodes against others of their kind" />
+      `
+    }
+    <${Notes} notes=${data.notes} />
+  `;
+}
 
 /** @param {{data: Api.Suspects, csv: string, without: Shown}} props */
 function Scales({ data, csv, without }) {

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Capacity of the cluster for runs: what quotas and nodes allow, and what is learned of the rest.
+
+Quotas and nodes are read now and then, as far as the account may. They say what is impossible; what fits now
+only the scheduler knows. So a pool begins small, grows with every pod that finds a node, and shrinks to what
+is in flight when one finds none or a quota refuses it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from slamhive.kube.api.errors import ApiError, Forbidden, NotFound
+from slamhive.kube.builders.common import WHOLE_NODE
+from slamhive.model.base import quantity
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from slamhive.kube.api.kinds import Object
+    from slamhive.kube.cluster import Cluster
+
+QUOTA_SECONDS = 5.0
+NODES_SECONDS = 60.0
+"""Shortest times between two readings."""
+REFUSED_SECONDS = 600.0
+"""Time until what an account may not see is asked for again."""
+_OF_QUOTAS = {
+    "pods": "pods",
+    "count/pods": "pods",
+    "cpu": "cpu",
+    "memory": "memory",
+    "requests.cpu": "cpu",
+    "requests.memory": "memory",
+    "limits.cpu": "cpu",
+    "limits.memory": "memory",
+}
+"""What the items of a quota count of a run's pod, whose limits are its requests."""
+_SCOPES_OF_RUNS = frozenset({"NotBestEffort", "Terminating"})
+_KEEPS_AWAY = frozenset({"NoSchedule", "NoExecute"})
+
+
+@dataclass(frozen=True)
+class Bound:
+    """Number of runs that are possible, and by what.
+
+    Attributes:
+        runs: the number.
+        why: what bounds it, as the subject of a sentence.
+    """
+
+    runs: int
+    why: str
+
+
+def bound_by_quotas(quotas: Iterable[Object], asked: Mapping[str, float], there: int) -> Bound | None:
+    """Return how many runs the quotas of a namespace allow; None where they bound nothing.
+
+    A quota for some pods alone, such as those of a priority class, is left to the API server.
+
+    Args:
+        quotas: ResourceQuotas.
+        asked: what a run's pod asks for, by resource.
+        there: pods of runs that are counted in the quotas already.
+    """
+    bounds = []
+    for quota in quotas:
+        spec, status = quota.get("spec") or {}, quota.get("status") or {}
+        if spec.get("scopeSelector") or not _SCOPES_OF_RUNS.issuperset(spec.get("scopes") or ()):
+            continue
+        used = status.get("used") or {}
+        for item, most in (status.get("hard") or spec.get("hard") or {}).items():
+            what = _OF_QUOTAS.get(item, item.removeprefix("requests."))
+            each = 1.0 if what == "pods" else asked.get(what, 0.0)
+            try:
+                left = quantity(most) - quantity(used.get(item, "0"))
+            except ValueError:
+                continue
+            if each > 0:
+                name = quota["metadata"]["name"]
+                told = f"quota {name} ({item}: {used.get(item, '0')} of {most} used)"
+                bounds.append(Bound(max(0, math.floor(left / each + 1e-9)) + there, told))
+    return min(bounds, key=lambda one: one.runs, default=None)
+
+
+def bound_by_nodes(nodes: Iterable[Object], asked: Mapping[str, float], pods: Object) -> Bound:
+    """Return how many pods of a run the cluster's nodes could hold if they held nothing else.
+
+    Args:
+        nodes: the nodes.
+        asked: what a run's pod asks for, by resource.
+        pods: parts of its spec: nodeSelector and tolerations.
+    """
+    fitting = [node for node in nodes if _takes(node, pods)]
+    runs = 0
+    for node in fitting:
+        there = {name: _number(text) for name, text in (node["status"].get("allocatable") or {}).items()}
+        there[WHOLE_NODE] = 1.0
+        parts = [there.get(name, 0.0) / each for name, each in asked.items() if each > 0]
+        runs += math.floor(min([*parts, there.get("pods", math.inf)], default=0.0) + 1e-9)
+    words = "node that takes runs" if len(fitting) == 1 else "nodes that take runs"
+    return Bound(runs, f"the cluster ({len(fitting)} {words}, which could hold {runs} of these)")
+
+
+def _takes(node: Object, pods: Object) -> bool:
+    """Tell whether a node is ready and takes pods with such a selector and tolerations."""
+    spec, status = node.get("spec") or {}, node.get("status") or {}
+    ready = next((one for one in status.get("conditions") or () if one["type"] == "Ready"), None)
+    if spec.get("unschedulable") or (ready is not None and ready["status"] != "True"):
+        return False
+    labels = node["metadata"].get("labels") or {}
+    if any(labels.get(name) != value for name, value in (pods.get("nodeSelector") or {}).items()):
+        return False
+    tolerations = pods.get("tolerations") or ()
+    taints = [taint for taint in spec.get("taints") or () if taint.get("effect") in _KEEPS_AWAY]
+    return all(any(_tolerates(one, taint) for one in tolerations) for taint in taints)
+
+
+def _tolerates(toleration: Object, taint: Object) -> bool:
+    if toleration.get("effect") not in {None, "", taint["effect"]}:
+        return False
+    exists = toleration.get("operator") == "Exists"
+    if not toleration.get("key"):
+        return exists
+    same = toleration["key"] == taint["key"]
+    return same and (exists or (toleration.get("value") or "") == (taint.get("value") or ""))
+
+
+def _number(text: object) -> float:
+    try:
+        return quantity(str(text))
+    except ValueError:
+        return 0.0
+
+
+@dataclass
+class _Reading:
+    """Objects of the cluster as they were last read, or why they could not be.
+
+    Attributes:
+        due: when to read again, s since 1970.
+        objects: what was read; None: nothing ever was, or it may not be seen.
+        there: pods of runs at that time.
+    """
+
+    due: float = 0.0
+    objects: list[Object] | None = None
+    there: int = 0
+
+
+class SeenRoom:
+    """Bounds by quotas and nodes, as far as the account may see these."""
+
+    def __init__(self) -> None:
+        self._quotas: dict[str, _Reading] = {}
+        self._nodes = _Reading()
+
+    async def of_quotas(
+        self, cluster: Cluster, namespace: str, asked: Mapping[str, float], there: int
+    ) -> Bound | None:
+        """Return how many runs of a namespace its quotas allow.
+
+        Args:
+            cluster: the cluster.
+            namespace: the namespace.
+            asked: what a run's pod asks for, by resource.
+            there: pods of runs that are there now.
+        """
+        reading = self._quotas.setdefault(namespace, _Reading())
+        now = cluster.clock()
+        if now >= reading.due:
+            reading.due = now + QUOTA_SECONDS
+            try:
+                reading.objects, reading.there = await cluster.api.quotas(namespace), there
+            except ApiError as error:
+                _put_off(reading, error, now)
+        return bound_by_quotas(reading.objects or (), asked, reading.there)
+
+    async def of_nodes(self, cluster: Cluster, asked: Mapping[str, float]) -> Bound | None:
+        """Return how many runs the nodes could hold; None where they can't be seen."""
+        if not cluster.settings.sharing.read_nodes:
+            return None
+        reading, now = self._nodes, cluster.clock()
+        if now >= reading.due:
+            reading.due = now + NODES_SECONDS
+            try:
+                reading.objects = await cluster.api.nodes()
+            except ApiError as error:
+                _put_off(reading, error, now)
+        if reading.objects is None:
+            return None
+        pods = cluster.settings.pods
+        chosen = {"nodeSelector": pods.node_selector, "tolerations": pods.tolerations}
+        return bound_by_nodes(reading.objects, asked, chosen)
+
+
+def _put_off(reading: _Reading, error: ApiError, now: float) -> None:
+    """Note that something could not be read: what may not be seen isn't known any more."""
+    if isinstance(error, Forbidden | NotFound):
+        reading.objects, reading.due = None, now + REFUSED_SECONDS
+
+
+@dataclass
+class FeltRoom:
+    """Room for runs as it is felt: how many may be in flight at a time.
+
+    Attributes:
+        first: the number that it begins with.
+        limit: runs in flight at most, those not counted that wait for a node.
+        ceiling: runs in flight when the cluster was last found full; endless before that.
+    """
+
+    first: int
+    limit: int = field(init=False)
+    ceiling: float = math.inf
+
+    def __post_init__(self) -> None:
+        self.limit = self.first
+
+    @property
+    def is_full(self) -> bool:
+        """Tell whether there was no room for more when it was last felt for."""
+        return math.isfinite(self.ceiling) and self.limit <= self.ceiling + 1
+
+    def note(self, placed: int, refused: int, used: int, held: int, *, is_drained: bool = False) -> None:
+        """Note what has become of runs.
+
+        Args:
+            placed: pods that found a node at once, and runs that ended before they were seen to have one.
+            refused: pods that were found to have none.
+            used: slots that were held since the last time.
+            held: slots that are held now: runs in flight, without those that wait for a node.
+            is_drained: whether the last pod that waited has found a node.
+        """
+        if refused:
+            self.ceiling = held
+            self.limit = max(1, held)
+        elif self.limit < self.ceiling:
+            grown = min(self.limit + 2 * placed, self.ceiling + 1, max(self.first, 2 * used))
+            self.limit = max(self.limit, int(grown))
+        elif (placed or is_drained) and max(used, held) >= self.limit:
+            self.limit += 1  # one more is tried, so that of pods that nothing has room for there is one or so

@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Forecast of a Sweep: how long its runs hold a slot by what has ended, and what that comes to, in words."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+from slamhive.engine import PointState, Work
+from slamhive.kube.status import moment
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from slamhive.archive import Cost
+    from slamhive.kube.api.kinds import Object
+    from slamhive.kube.reconciling.sweep_state import SweepMemory
+
+RunKind = tuple[str, str]
+"""Algorithm and dataset of a run."""
+
+_SAMPLED = 400
+"""Points of a Sweep of which it is looked up what kind they are: a share of so many is known within 5 %."""
+_JUST_MADE_SECONDS = 5.0
+_LEAST_LEFT = 0.1
+_MINUTE, _HOUR, _DAY = 60.0, 3600.0, 86_400.0
+_STEPS = (
+    *(("min", _MINUTE, number) for number in (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 25, 30, 40, 50)),
+    *(("h", _HOUR, number) for number in (1, 1.25, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10, 12, 15, 18, 21)),
+    *(
+        ("days", _DAY, number)
+        for number in (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10, 12, 15, 20, 25, 30, 40, 50, 60)
+    ),
+)
+_SAME = 1.3
+"""Ratio within which a time that was told still holds: it isn't written anew each minute."""
+
+
+def kind_of(run: Mapping[str, Object]) -> RunKind:
+    """Return the kind of a MappingRun."""
+    spec = run["spec"]
+    return spec["algorithmRef"]["name"], spec["datasetRef"]["name"]
+
+
+class Flight(NamedTuple):
+    """Run in flight: its kind, its name, and when it began, s since 1970."""
+
+    kind: RunKind
+    name: str
+    began: float
+
+
+@dataclass
+class RunTimes:
+    """Times for which runs of a Sweep held their slots.
+
+    Attributes:
+        flying: runs in flight by UID.
+        sums: number and s of those that ended, by kind; of equal results the first alone.
+        archived: the same of runs of other Sweeps, as the archive has them.
+        kinds: kinds of some of its points by index, all of them if it has few.
+    """
+
+    flying: dict[str, Flight] = field(default_factory=dict)
+    sums: dict[RunKind, tuple[int, float]] = field(default_factory=dict)
+    archived: dict[RunKind, tuple[int, float]] = field(default_factory=dict)
+    kinds: dict[int, RunKind] = field(default_factory=dict)
+
+    def begin(self, runs: Iterable[Object], now: float) -> None:
+        """Take note of runs that are in flight."""
+        for run in runs:
+            meta = run["metadata"]
+            if meta["uid"] not in self.flying:
+                made = moment(meta.get("creationTimestamp")) or now
+                # Times of the API are whole seconds.
+                began = now if now - made < _JUST_MADE_SECONDS else made
+                self.flying[meta["uid"]] = Flight(kind_of(run), meta["name"], began)
+
+    def look(self, active: Iterable[Object], taken_over: set[str], now: float) -> list[Flight]:
+        """Take note of all runs that are in flight; returns those that have ended since the last time.
+
+        Args:
+            active: runs in flight.
+            taken_over: UIDs of runs that took over an equal result, which took no time.
+            now: s since 1970.
+        """
+        active = list(active)
+        self.begin(active, now)
+        there = {run["metadata"]["uid"] for run in active}
+        ended = {uid: flight for uid, flight in self.flying.items() if uid not in there}
+        for uid, flight in ended.items():
+            del self.flying[uid]
+            if uid not in taken_over:
+                self._add(flight.kind, now - flight.began)
+        return [*ended.values()]
+
+    def learn(self, ended: Iterable[Object]) -> None:
+        """Take note of runs that had ended before anybody looked."""
+        for run in ended:
+            status = run.get("status") or {}
+            made, end = moment(run["metadata"].get("creationTimestamp")), moment(status.get("completionTime"))
+            reused = (status.get("provenance") or {}).get("reusedFrom")
+            if made is not None and end is not None and not reused:
+                self._add(kind_of(run), max(0.0, end - made))
+
+    def _add(self, kind: RunKind, seconds: float) -> None:
+        count, total = self.sums.get(kind, (0, 0.0))
+        self.sums[kind] = count + 1, total + seconds
+
+    @property
+    def ended(self) -> int:
+        """Return the number of its own runs that the times are of."""
+        return sum(count for count, _ in self.sums.values())
+
+    def sample(self, memory: SweepMemory) -> None:
+        """Look up the kinds of some points, evenly over all of them; once."""
+        if not self.kinds and memory.search is None:
+            count = len(memory.states)
+            for number in range(min(count, _SAMPLED)):
+                index = number * count // min(count, _SAMPLED)
+                names = memory.plan.point(index).short_spec
+                self.kinds[index] = (names["algorithm"] or "", names["dataset"] or "")
+
+    @property
+    def unknown(self) -> list[RunKind]:
+        """Return the kinds of which no run's time is known."""
+        kinds = dict.fromkeys(self.kinds.values())
+        return [kind for kind in kinds if kind not in self.sums and kind not in self.archived]
+
+    def take(self, costs: Iterable[Cost]) -> None:
+        """Take note of runs of the archive."""
+        for cost in costs:
+            kind = (cost.algorithm, cost.dataset)
+            if cost.wall_seconds and cost.reason is None and kind in self.unknown_before:
+                count, total = self.archived.get(kind, (0, 0.0))
+                self.archived[kind] = count + 1, total + cost.wall_seconds
+
+    @property
+    def unknown_before(self) -> set[RunKind]:
+        """Return the kinds of which none of its own runs has ended."""
+        return set(self.kinds.values()) - self.sums.keys()
+
+    def mean(self, kind: RunKind) -> float | None:
+        """Return how long a run of a kind holds its slot, s; None where nothing is known."""
+        count, total = self.sums.get(kind) or self.archived.get(kind) or (0, 0.0)
+        return total / count if count else None
+
+    def work(self, memory: SweepMemory, pending: int, now: float) -> Work:
+        """Return what it has still to do; unknown where a kind of its runs is.
+
+        Args:
+            memory: its points.
+            pending: how many of them have still to begin.
+            now: s since 1970.
+        """
+        flying = [(self.mean(one.kind), now - one.began) for one in self.flying.values()]
+        twins = memory.plan.twins
+        left = {
+            index: kind for index, kind in self.kinds.items() if memory.states[index] == PointState.PENDING
+        }
+        # Of few that are left none may be among those looked up.
+        left = left or self.kinds
+        # What equals another run of the Sweep takes its result, which costs no time.
+        waiting = [self.mean(kind) for index, kind in left.items() if index not in twins] if pending else []
+        known = [*waiting, *(mean for mean, _ in flying)]
+        if not known or None in known or memory.search is not None:
+            return Work()
+        means = [mean or 0.0 for mean in waiting]
+        total = pending * sum(means) / len(left) if means else 0.0
+        total += sum(max((mean or 0.0) - age, _LEAST_LEFT * (mean or 0.0)) for mean, age in flying)
+        a_run = sum(mean or 0.0 for mean in known) / len(known)
+        return Work(total, max(a_run, 1e-3))
+
+
+@dataclass
+class ToldTime:
+    """Time from now as it was last told, in words: it changes when it is clearly another one.
+
+    Attributes:
+        seconds: the time that the words stand for; None: nothing was told.
+    """
+
+    seconds: float | None = None
+
+    def words(self, seconds: float | None) -> str | None:
+        """Return a time from now in words; None where it is not known."""
+        if seconds is None:
+            self.seconds = None
+            return None
+        seconds = max(seconds, 1.0)
+        before = self.seconds
+        if before is None or not before / _SAME <= seconds <= before * _SAME:
+            # The nearest one by ratio.
+            self.seconds = min(
+                (unit * number for _, unit, number in _STEPS), key=lambda one: abs(math.log(one / seconds))
+            )
+        return in_words(self.seconds or 0.0, seconds)
+
+
+def in_words(told: float, seconds: float) -> str:
+    """Return the words for a time from now: dates ahead print as invalid in kubectl's columns.
+
+    >>> in_words(3 * 3600, 3 * 3600), in_words(60, 20)
+    ('in about 3 h', 'within a minute')
+    """
+    if told <= _MINUTE and seconds <= _MINUTE:
+        return "within a minute"
+    name, unit, number = max(_STEPS, key=lambda one: (one[1] * one[2] <= told, one[1] * one[2]))
+    if seconds > _SAME * _STEPS[-1][1] * _STEPS[-1][2]:
+        return f"in more than {number:g} {name}"
+    return f"in about {number:g} {'day' if unit == _DAY and number == 1 else name}"
