@@ -13,18 +13,21 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from slamhive.kube.api.errors import REFUSALS, NotFound
-from slamhive.kube.api.kinds import labels_of, owner_uids
+from slamhive.kube.api.kinds import labels_of
 from slamhive.kube.pods import Waiting, condition, has_ended, is_deleted
-from slamhive.kube.refused_pods import JobAnswers
 from slamhive.kube.reports import clean, moment
 from slamhive.model.base import QUEUE_NAME
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
+
+    from slamhive.kube.api.client import Api
 
     Object = Mapping[str, Any]
 
 GROUP, VERSION, WORKLOADS = "kueue.x-k8s.io", "v1beta2", "workloads"
+SERVED_SECONDS = 60.0
+"""Time after which it is asked again whether Kueue is there."""
 QUEUE_WAITS = "QueueWaits"
 """Reason of the waiting of a Job that is suspended, by a queue or by someone else."""
 ABSENT = (
@@ -81,8 +84,19 @@ def held_back(job: Object) -> Waiting:
     return Waiting(QUEUE_WAITS, clean(told), since)
 
 
-class Workloads(JobAnswers):
-    """Finds out what suspended Jobs wait for; constructed as ``JobAnswers``."""
+class Workloads:
+    """Finds out what suspended Jobs wait for, each by its own Workload: a listing of all costs too much.
+
+    Args:
+        api: the Kubernetes API.
+        clock: returns the time in s since 1970.
+    """
+
+    def __init__(self, api: Api, clock: Callable[[], float]) -> None:
+        self._api = api
+        self._clock = clock
+        self._is_served = False
+        self._due = 0.0
 
     async def explained(self, job: Object, waiting: Waiting) -> Waiting:
         """Return the waiting of a suspended Job with what its Workload says, where that may be read.
@@ -90,20 +104,24 @@ class Workloads(JobAnswers):
         Raises:
             ApiError: the server can't be asked just now.
         """
-        metadata = job["metadata"]
-        told = await self.message(metadata["namespace"], metadata["uid"])
+        told = await self._told(job["metadata"]["namespace"], job["metadata"]["uid"])
         if told is None or (told in _OF_QUEUES_ALONE and QUEUE_NAME not in labels_of(job)):
             return waiting
         return replace(waiting, message=clean(f"{waiting.message}: {told}"))
 
-    async def _list(self, namespace: str) -> tuple[dict[str, str], str | None]:
-        if WORKLOADS not in await self._api.served(GROUP, VERSION):
-            return {}, ABSENT
+    async def _told(self, namespace: str, job_uid: str) -> str | None:
+        if self._clock() >= self._due:
+            self._is_served = WORKLOADS in await self._api.served(GROUP, VERSION)
+            self._due = self._clock() + SERVED_SECONDS
+        if not self._is_served:
+            return ABSENT
         try:
-            items = await self._api.workloads(namespace)
-        except (*REFUSALS, NotFound):
-            return {}, None  # without the right to read them it is known that the Job waits, and where
-        return {uid: why_pending(item) for item in items for uid in owner_uids(item)}, NO_WORKLOAD
+            found = await self._api.workloads(namespace, job_uid)
+        except NotFound:
+            return ABSENT
+        except REFUSALS:
+            return None  # without the right to read them it is known that the Job waits, and where
+        return why_pending(found[0]) if found else NO_WORKLOAD
 
 
 def why_pending(workload: Object) -> str:

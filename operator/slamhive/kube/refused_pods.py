@@ -25,8 +25,8 @@ SHARE = 20
 """Times as long as a listing took until the next one."""
 
 
-class JobAnswers:
-    """Answers to why Jobs stand still, found for all Jobs of a namespace by one listing.
+class RefusedPods:
+    """Finds out why Jobs have no pods.
 
     Args:
         api: the Kubernetes API.
@@ -40,12 +40,12 @@ class JobAnswers:
         self._api = api
         self._clock = clock
         self._stopwatch = stopwatch
-        self._told: dict[str, tuple[dict[str, str], str | None]] = {}
+        self._told: dict[str, dict[str, str]] = {}
         self._due: dict[str, float] = {}
         self._listing: defaultdict[str, asyncio.Lock] = defaultdict(asyncio.Lock)
 
     async def message(self, namespace: str, job_uid: str) -> str | None:
-        """Return the last word on a Job, as of the last listing; None where there was none.
+        """Return the last word on a Job's pod, as of the last listing; None where there was none.
 
         Raises:
             ApiError: the server can't be asked, or may not be by this account.
@@ -54,25 +54,12 @@ class JobAnswers:
             # Asked behind the lock: whoever waited for it finds the answer of the listing before.
             if self._clock() >= self._due.get(namespace, 0.0):
                 began = self._stopwatch()
-                self._told[namespace] = await self._list(namespace)
+                events = await self._api.events(namespace, REASON)
                 took = self._stopwatch() - began
+                self._told[namespace] = {
+                    event["involvedObject"]["uid"]: str(event.get("message") or "")
+                    for event in events
+                    if (event.get("involvedObject") or {}).get("uid")
+                }
                 self._due[namespace] = self._clock() + max(BETWEEN_SECONDS, SHARE * took)
-            told, of_others = self._told[namespace]
-            return told.get(job_uid, of_others)
-
-    async def _list(self, namespace: str) -> tuple[dict[str, str], str | None]:
-        """Return the answers by UID of the Job, and that for all other Jobs."""
-        raise NotImplementedError
-
-
-class RefusedPods(JobAnswers):
-    """Finds out why Jobs have no pods; constructed as ``JobAnswers``."""
-
-    async def _list(self, namespace: str) -> tuple[dict[str, str], str | None]:
-        events = await self._api.events(namespace, REASON)
-        told = {
-            event["involvedObject"]["uid"]: str(event.get("message") or "")
-            for event in events
-            if (event.get("involvedObject") or {}).get("uid")
-        }
-        return told, None
+            return self._told[namespace].get(job_uid)

@@ -32,8 +32,7 @@ def make_lab_with_kueue(
     """A function that gives a cluster with Kueue; what a Job waits for is said at once."""
     monkeypatch.setattr(waiting, "POD_SECONDS", 0.0)
     monkeypatch.setattr(waiting, "QUEUE_SECONDS", 0.2)
-    monkeypatch.setattr("slamhive.kube.refused_pods.BETWEEN_SECONDS", 0.0)
-    monkeypatch.setattr("slamhive.kube.refused_pods.SHARE", 0)
+    monkeypatch.setattr("slamhive.kube.kueue.SERVED_SECONDS", 0.0)
 
     def make(**play: Any) -> Lab:
         found = make_fake_lab(**play)
@@ -78,11 +77,10 @@ def put_off(lab: Lab, name: str = "one-1") -> None:
 def tell(lab: Lab, *conditions: tuple[str, str, str, str], name: str = "one-1", active: bool = True) -> None:
     """Make a Job's Workload, or have it say something else."""
     [job] = [one for one in jobs(lab) if one["metadata"]["name"] == name]
-    owner = {"apiVersion": "batch/v1", "kind": "Job", "name": name, "uid": job["metadata"]["uid"]}
     body = {
         "apiVersion": "kueue.x-k8s.io/v1beta2",
         "kind": "Workload",
-        "metadata": {"name": f"job-{name}", "ownerReferences": [owner]},
+        "metadata": {"name": f"job-{name}", "labels": {"kueue.x-k8s.io/job-uid": job["metadata"]["uid"]}},
         "spec": {"active": active, "queueName": QUEUE, "podSets": []},
     }
     lab.apply(body)

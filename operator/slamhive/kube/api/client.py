@@ -195,25 +195,17 @@ class Api(Transport):
             return frozenset()
         return frozenset(resource["name"] for resource in answer.get("resources") or ())
 
-    async def workloads(self, namespace: str) -> Objects:
-        """Return Kueue's Workloads of a namespace; without their pod templates, which are most of them.
+    async def workloads(self, namespace: str, job_uid: str) -> Objects:
+        """Return Kueue's Workloads of a Job, which is one at most.
 
         Raises:
             Forbidden, NotFound: the account may not list them, or there is no Kueue.
         """
         path = f"/apis/kueue.x-k8s.io/v1beta2/namespaces/{namespace}/workloads"
-        items: Objects = []
-        following: str | None = None
-        while True:
-            query = {"limit": PAGE, "continue": following}
-            request = Request("list", "workloads.kueue.x-k8s.io", namespace, "GET", path, query=query)
-            answer = await self.json(request, attempts=1)
-            for item in answer.get("items") or ():
-                item.get("spec", {}).pop("podSets", None)
-                items.append(item)
-            following = (answer.get("metadata") or {}).get("continue")
-            if not following:
-                return items
+        query = {"labelSelector": f"kueue.x-k8s.io/job-uid={job_uid}"}
+        request = Request("list", "workloads.kueue.x-k8s.io", namespace, "GET", path, query=query)
+        answer = await self.json(request, attempts=1)
+        return [*(answer.get("items") or ())]
 
     async def schemas(self, group: str, version: str) -> dict[str, Object]:
         """Return the schemas of a group's kinds, by kind; none where the account may not see them.
