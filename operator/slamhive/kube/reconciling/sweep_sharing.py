@@ -48,8 +48,6 @@ _UNHEARD_SECONDS = 30.0
 """Time after which a Sweep that was called and does not look leaves its slots to others."""
 _IN_LINE_SECONDS = 30.0
 _NEWS_SLOTS, _NEWS_PART = 0.5, 0.15
-_OVERTAKEN = 3
-"""Pods made later that found nodes, after which one that waits is known to do so for its own reasons."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +106,7 @@ class _ShareAccount:
         times: how long its runs take.
         waiting: names of its runs for which there is no room, each with the time since when.
         placed: names of its runs in flight whose pods have a node.
-        overtaken: pods made later than its waiting ones that found a node.
+        overtaken: pods of others, made later than its waiting ones, that found a node.
         work: what it has still to do.
         bounds: what quotas and nodes allow.
         window: runs that it may have in flight by itself.
@@ -136,7 +134,7 @@ class _ShareAccount:
     @property
     def is_stuck(self) -> bool:
         """Tell whether its pods that wait do so for reasons of their own."""
-        return bool(self.waiting) and self.overtaken >= _OVERTAKEN
+        return bool(self.waiting) and self.overtaken > 0
 
     def standing(self, now: float) -> Contender:
         """Return its part among the others: who doesn't answer, or can't be placed, asks for nothing."""
@@ -327,10 +325,19 @@ class SlotSharing:
         account = self._accounts.get(uid or "")
         if account is None or account.waiting:
             return 0  # its pods that wait have the next slots
-        starts = min(given.get(account.contender.name, 0), account.contender.asks)
         contender = account.contender
+        starts = min(given.get(contender.name, 0), contender.asks)
+        if not starts and contender.asks and contender.held < self._division.sweeps[contender.name]:
+            # Slots may be kept for pods of others that can never have them: one of its own finds that out.
+            starts = int(any(self._accounts[name].waiting for name in given) and self._may_probe(cluster))
         account.contender = replace(contender, held=contender.held + starts, asks=contender.asks - starts)
         return starts
+
+    def _may_probe(self, cluster: Cluster) -> bool:
+        """Tell whether a run more may be in flight by the chart's values."""
+        slots = cluster.settings.sharing.slots
+        flying = sum(len(one.waiting) + one.contender.held for one in self._accounts.values())
+        return slots is None or flying < slots
 
     def _call_for_news(self, cluster: Cluster, uid: str | None) -> None:
         """Have other Sweeps look, soon, whose shares are clearly not those that they tell of."""
