@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamhive.engine import Contender, NamespaceRule, Turns, Work, divide, foresee
+from slamhive.engine import Contender, NamespaceRule, SlotTurns, SlotWork, divide, foresee
 
 SPACES = ["a", "b", "c"]
 
@@ -38,8 +38,8 @@ rules = st.dictionaries(
 
 
 def served(capacity: int | None, crowd: list[Contender], told: dict[str, NamespaceRule]) -> dict[str, int]:
-    """Return how many slots each gets where all are free."""
-    order = Turns().next(capacity, crowd, divide(capacity, crowd, told), told)
+    """Return the slots that each gets where all are free."""
+    order = SlotTurns().next(capacity, crowd, divide(capacity, crowd, told), told)
     return {one.name: order.count(one.name) for one in crowd}
 
 
@@ -94,21 +94,21 @@ def test_higher_priority_comes_first_and_the_rest_is_shared() -> None:
     fair = divide(10, crowd)
     assert fair.sweeps["high"] == 6
     assert fair.sweeps["low"] + fair.sweeps["other"] == pytest.approx(4)
-    assert Turns().next(11, crowd, fair) == ["high"]
+    assert SlotTurns().next(11, crowd, fair) == ["high"]
 
 
 def test_a_slot_that_is_free_goes_to_who_is_behind_and_no_run_is_broken_off() -> None:
     crowd = [Contender("first", "a", held=9, asks=50), Contender("second", "b", held=0, asks=50)]
-    assert Turns().next(10, crowd, divide(10, crowd)) == ["second"]
+    assert SlotTurns().next(10, crowd, divide(10, crowd)) == ["second"]
     full = [replace(crowd[0], held=10), crowd[1]]
-    assert Turns().next(10, full, divide(10, full)) == []
+    assert SlotTurns().next(10, full, divide(10, full)) == []
 
 
 def test_without_a_capacity_each_has_what_it_asks_for() -> None:
     crowd = [Contender("first", "a", held=2, asks=3), Contender("second", "b", held=0, asks=1, weight=9)]
     fair = divide(None, crowd)
     assert fair.sweeps == {"first": 5, "second": 1}
-    assert sorted(Turns().next(None, crowd, fair)) == ["first", "first", "first", "second"]
+    assert sorted(SlotTurns().next(None, crowd, fair)) == ["first", "first", "first", "second"]
 
 
 @given(
@@ -126,7 +126,7 @@ def test_with_fewer_slots_than_sweeps_all_have_their_turn(
         for number, (weight, _, space) in enumerate(given_sweeps)
     ]
     lengths = {one.name: given_sweeps[number][1] for number, one in enumerate(crowd)}
-    turns, ends, started = Turns(), [], dict.fromkeys(lengths, 0)
+    turns, ends, started = SlotTurns(), [], dict.fromkeys(lengths, 0)
     for now in range(20_000):
         ends = [(name, end) for name, end in ends if end > now]
         held = [sum(name == one.name for name, _ in ends) for one in crowd]
@@ -146,7 +146,7 @@ def test_with_fewer_slots_than_sweeps_all_have_their_turn(
 
 def test_turns_are_by_weight() -> None:
     crowd = [Contender("three", "a", 0, 5, weight=3), Contender("one", "b", 0, 5, weight=1)]
-    turns, had = Turns(), []
+    turns, had = SlotTurns(), []
     for _ in range(40):
         division = divide(1, crowd)
         [name] = turns.next(1, crowd, division)
@@ -157,7 +157,7 @@ def test_turns_are_by_weight() -> None:
 
 def test_what_is_to_come_is_foreseen() -> None:
     crowd = [Contender("small", "a", 5, 5), Contender("large", "b", 5, 5), Contender("idle", "c", 0, 0)]
-    works = {"small": Work(50.0, 5.0), "large": Work(150.0, 5.0)}
+    works = {"small": SlotWork(50.0, 5.0), "large": SlotWork(150.0, 5.0)}
     outlooks = foresee(10, crowd, works)
     # 5 slots each for 10 s, then 10 for the one that is left: 100 slot-seconds more.
     assert (outlooks["small"].end, outlooks["large"].end) == (10, 20)
@@ -166,5 +166,5 @@ def test_what_is_to_come_is_foreseen() -> None:
         10, [replace(crowd[0], priority=1, held=10, asks=0), replace(crowd[1], held=0, asks=10)], works
     )
     assert first["large"].start == 5
-    unknown = foresee(10, crowd[:2], {"large": Work(150.0, 5.0)})
+    unknown = foresee(10, crowd[:2], {"large": SlotWork(150.0, 5.0)})
     assert (unknown["small"].end, unknown["large"].end) == (None, 30)

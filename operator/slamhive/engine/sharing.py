@@ -135,7 +135,7 @@ Place = str | tuple[int, str]
 
 
 @dataclass
-class Turns:
+class SlotTurns:
     """Account of the slots that contenders were short of, so that those who share one take turns.
 
     Attributes:
@@ -172,7 +172,7 @@ class Turns:
         division: Division,
         rules: Mapping[str, NamespaceRule] | None = None,
     ) -> list[str]:
-        """Return who gets the slots that are free now, one name a slot, in this order.
+        """Return the names of those that get the slots that are free now, one a slot, in this order.
 
         Args:
             capacity: slots that there are; None: as many as they ask for.
@@ -241,7 +241,7 @@ def _short(fair: float, held: int) -> float:
 
 
 @dataclass(frozen=True)
-class Work:
+class SlotWork:
     """Work that a Sweep has before it.
 
     Attributes:
@@ -254,7 +254,7 @@ class Work:
 
 
 @dataclass(frozen=True)
-class Outlook:
+class SlotOutlook:
     """Times at which a Sweep is expected to begin and to be done, s from now; None: not known."""
 
     start: float | None = None
@@ -264,10 +264,10 @@ class Outlook:
 def foresee(
     capacity: int | None,
     contenders: Sequence[Contender],
-    works: Mapping[str, Work],
+    works: Mapping[str, SlotWork],
     rules: Mapping[str, NamespaceRule] | None = None,
-) -> dict[str, Outlook]:
-    """Return when each Sweep will begin and end if nothing else comes, as if runs flowed.
+) -> dict[str, SlotOutlook]:
+    """Return the times at which Sweeps will begin and end if nothing else comes, as if runs flowed.
 
     A Sweep of which nothing is known keeps its slots for ever, so that who waits for those has no forecast.
 
@@ -297,8 +297,8 @@ def foresee(
         ends |= dict.fromkeys(over, now)
         # What another one held is free for those who stay.
         there = [replace(one, held=0, asks=one.demand) for one in there if one.name not in over]
-    return {one.name: Outlook(starts.get(one.name), ends.get(one.name)) for one in contenders}
+    return {one.name: SlotOutlook(starts.get(one.name), ends.get(one.name)) for one in contenders}
 
 
-def _left(work: Work | None) -> float:
+def _left(work: SlotWork | None) -> float:
     return math.inf if work is None or work.seconds is None else max(work.seconds, _NEARLY)

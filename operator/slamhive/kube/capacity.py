@@ -37,7 +37,7 @@ _OF_QUOTAS = {
     "limits.cpu": "cpu",
     "limits.memory": "memory",
 }
-"""What the items of a quota count of a run's pod, whose limits are its requests."""
+"""Items of a quota, and the resource of a run's pod that each counts: its limits are its requests."""
 _SCOPES_OF_RUNS = frozenset({"NotBestEffort", "Terminating"})
 _KEEPS_AWAY = frozenset({"NoSchedule", "NoExecute"})
 
@@ -56,7 +56,7 @@ class Bound:
 
 
 def bound_by_quotas(quotas: Iterable[Object], asked: Mapping[str, float], there: int) -> Bound | None:
-    """Return how many runs the quotas of a namespace allow; None where they bound nothing.
+    """Return the number of runs that the quotas of a namespace allow; None where they bound nothing.
 
     A quota for some pods alone, such as those of a priority class, is left to the API server.
 
@@ -86,7 +86,7 @@ def bound_by_quotas(quotas: Iterable[Object], asked: Mapping[str, float], there:
 
 
 def bound_by_nodes(nodes: Iterable[Object], asked: Mapping[str, float], pods: Object) -> Bound:
-    """Return how many pods of a run the cluster's nodes could hold if they held nothing else.
+    """Return the number of pods of a run that the cluster's nodes could hold if they held nothing else.
 
     Args:
         nodes: the nodes.
@@ -136,7 +136,7 @@ def _number(text: object) -> float:
 
 
 @dataclass
-class _Reading:
+class _ClusterReading:
     """Objects of the cluster as they were last read, or why they could not be.
 
     Attributes:
@@ -154,13 +154,13 @@ class SeenRoom:
     """Bounds by quotas and nodes, as far as the account may see these."""
 
     def __init__(self) -> None:
-        self._quotas: dict[str, _Reading] = {}
-        self._nodes = _Reading()
+        self._quotas: dict[str, _ClusterReading] = {}
+        self._nodes = _ClusterReading()
 
     async def of_quotas(
         self, cluster: Cluster, namespace: str, asked: Mapping[str, float], there: int
     ) -> Bound | None:
-        """Return how many runs of a namespace its quotas allow.
+        """Return the number of runs of a namespace that its quotas allow.
 
         Args:
             cluster: the cluster.
@@ -168,7 +168,7 @@ class SeenRoom:
             asked: what a run's pod asks for, by resource.
             there: pods of runs that are there now.
         """
-        reading = self._quotas.setdefault(namespace, _Reading())
+        reading = self._quotas.setdefault(namespace, _ClusterReading())
         now = cluster.clock()
         if now >= reading.due:
             reading.due = now + QUOTA_SECONDS
@@ -179,7 +179,7 @@ class SeenRoom:
         return bound_by_quotas(reading.objects or (), asked, reading.there)
 
     async def of_nodes(self, cluster: Cluster, asked: Mapping[str, float]) -> Bound | None:
-        """Return how many runs the nodes could hold; None where they can't be seen."""
+        """Return the number of runs that the nodes could hold; None where they can't be seen."""
         if not cluster.settings.sharing.read_nodes:
             return None
         reading, now = self._nodes, cluster.clock()
@@ -196,7 +196,7 @@ class SeenRoom:
         return bound_by_nodes(reading.objects, asked, chosen)
 
 
-def _put_off(reading: _Reading, error: ApiError, now: float) -> None:
+def _put_off(reading: _ClusterReading, error: ApiError, now: float) -> None:
     """Note that something could not be read: what may not be seen isn't known any more."""
     if isinstance(error, Forbidden | NotFound):
         reading.objects, reading.due = None, now + REFUSED_SECONDS

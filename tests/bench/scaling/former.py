@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a run took of an earlier commit's operator, by that commit's own benchmark, beside today's."""
+"""Cost of a run with an earlier commit's operator, by that commit's own benchmark, beside today's."""
 
 from __future__ import annotations
 

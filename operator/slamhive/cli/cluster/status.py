@@ -47,10 +47,23 @@ _RUNS = 20
 _CONDITION = 120
 _GOOD = {"Succeeded": "green", "Complete": "green", "Failed": "red", "TooManyFailures": "red"}
 _FIGURES = ("ate", "cpu", "memory")
-_SWEEP = ("sweep", "phase", "", "done", "in flight", "failed", "evaluated", "best", "ATE", "age")
+_SWEEP = (
+    "sweep",
+    "phase",
+    "",
+    "done",
+    "in flight",
+    "line",
+    "ends",
+    "failed",
+    "evaluated",
+    "best",
+    "ATE",
+    "age",
+)
 _RUN = ("run", "phase", "algorithm", "dataset", "outcome", "ATE", "cores", "memory", "age")
 _ROOMY = 120
-_SPARED = frozenset({"best", "evaluated", "age", "dataset", "memory"})
+_SPARED = frozenset({"best", "evaluated", "age", "dataset", "memory", "line"})
 """Columns that a narrow terminal does without while it watches."""
 _EVALUATION = ("evaluation", "evaluated", "failed", "age")
 
@@ -117,10 +130,27 @@ def _of_sweep(body: Object) -> list[tuple[str, str]]:
     return [
         ("phase", str(found.get("phase", "Pending"))),
         ("runs", f"{_bar(found)} {found.get('progress', '')}  {', '.join(counts)}"),
+        *_share(found.get("share") or {}),
         ("settings", _settings(found.get("search") or {})),
         ("CPU time", f"{found['cpuSeconds']:,.1f} s" if found.get("cpuSeconds") else ""),
         ("started", str(found.get("startTime") or "")),
         ("completed", str(found.get("completionTime") or "")),
+    ]
+
+
+def _share(share: Object) -> list[tuple[str, str]]:
+    """Return the lines on a Sweep's share of the cluster, its place in the line, and its forecast."""
+    if not share:
+        return []
+    slots = f"{share['of']} slots" if share.get("of") else "the cluster"
+    others = plural(share.get("sweeps") or 1, "Sweep"), plural(share.get("namespaces") or 1, "namespace")
+    times = [f"{word}s {share[word]}" for word in ("begin", "end") if share.get(word)]
+    return [
+        ("share", f"{share.get('fair', 0):g} runs of {slots}, with {others[0]} of {others[1]}"),
+        ("in line", f"place {share['place']}" if share.get("place") else ""),
+        ("forecast", "; ".join(filter(None, (", ".join(times), str(share.get("forecast") or ""))))),
+        ("limited by", str(share.get("limit") or "")),
+        ("sooner by", str(share.get("sooner") or "")),
     ]
 
 
@@ -184,7 +214,7 @@ def _result(item: Object) -> str:
 
 def _sweep_line(body: Object) -> list[RenderableType]:
     found = status_of(body)
-    best = found.get("best") or [{}]
+    best, share = found.get("best") or [{}], found.get("share") or {}
     failed = found.get("failed", 0)
     return [
         Text(name_of(body)),
@@ -192,6 +222,8 @@ def _sweep_line(body: Object) -> list[RenderableType]:
         Text(_bar(found)),
         Text(str(found.get("progress", "–"))),
         Text(str(found.get("running", 0))),
+        Text(str(share.get("place") or "–")),
+        Text(str(share.get("end") or "–")),
         Text(str(failed), style="red" if failed else ""),
         Text(str(found.get("evaluated", 0))),
         Text(str(best[0].get("name", "–"))),

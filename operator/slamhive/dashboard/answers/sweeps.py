@@ -206,6 +206,7 @@ def sweep(snapshot: Snapshot, stored: StoredSweeps, name: str, namespace: str | 
             "manifest": manifest("Sweep", name, record.labels if record else {}, spec) if spec else None,
             "evaluation": record.evaluation if record else None,
             "conditions": list((live or {}).get("conditions") or ()),
+            "share": (live or {}).get("share"),
         }
     )
 

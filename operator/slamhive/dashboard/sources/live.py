@@ -95,6 +95,7 @@ def sweep_in_short(obj: Object) -> dict[str, Any]:
         "conditions": status.get("conditions") or [],
         "best": status.get("best") or [],
         "search": status.get("search"),
+        "share": status.get("share"),
     }
 
 

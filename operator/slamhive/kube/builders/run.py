@@ -110,7 +110,7 @@ def _as_yaml(text: str) -> str:
 
 
 def least_requests(resources: Mapping[str, Any], settings: Settings) -> dict[str, float]:
-    """Return what a run's pod asks a node for at least, by resource: a player may come on top.
+    """Return the least requests of a run's pod, by resource: a player may come on top.
 
     Args:
         resources: ``resources`` of its resolved spec.

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
-from slamhive.engine import PointState, Work
+from slamhive.engine import PointState, SlotWork
 from slamhive.kube.status import moment
 
 if TYPE_CHECKING:
@@ -142,12 +142,12 @@ class RunTimes:
         return set(self.kinds.values()) - self.sums.keys()
 
     def mean(self, kind: RunKind) -> float | None:
-        """Return how long a run of a kind holds its slot, s; None where nothing is known."""
+        """Return the time for which a run of a kind holds its slot, s; None where nothing is known."""
         count, total = self.sums.get(kind) or self.archived.get(kind) or (0, 0.0)
         return total / count if count else None
 
-    def work(self, memory: SweepMemory, pending: int, now: float) -> Work:
-        """Return what it has still to do; unknown where a kind of its runs is.
+    def work(self, memory: SweepMemory, pending: int, now: float) -> SlotWork:
+        """Return the work that it has still to do; unknown where a kind of its runs is.
 
         Args:
             memory: its points.
@@ -165,12 +165,12 @@ class RunTimes:
         waiting = [self.mean(kind) for index, kind in left.items() if index not in twins] if pending else []
         known = [*waiting, *(mean for mean, _ in flying)]
         if not known or None in known or memory.search is not None:
-            return Work()
+            return SlotWork()
         means = [mean or 0.0 for mean in waiting]
         total = pending * sum(means) / len(left) if means else 0.0
         total += sum(max((mean or 0.0) - age, _LEAST_LEFT * (mean or 0.0)) for mean, age in flying)
         a_run = sum(mean or 0.0 for mean in known) / len(known)
-        return Work(total, max(a_run, 1e-3))
+        return SlotWork(total, max(a_run, 1e-3))
 
 
 @dataclass

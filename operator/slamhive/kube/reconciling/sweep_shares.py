@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from slamhive.engine import Outlook
+from slamhive.engine import SlotOutlook
 from slamhive.model.status import SweepShare
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _STEADY = 0.1
 
 @dataclass(frozen=True)
 class ShareFacts:
-    """What is known of a Sweep's share.
+    """Facts about a Sweep's share, from which its words are made.
 
     Attributes:
         settings: the operator's.
@@ -71,7 +71,7 @@ class ShareFacts:
     blocked: tuple[str, str] | None
     is_search: bool
     times: RunTimes
-    outlooks: Mapping[str, Outlook]
+    outlooks: Mapping[str, SlotOutlook]
     rate: float
 
     @property
@@ -91,7 +91,7 @@ class ShareFacts:
 
 
 def share_of(facts: ShareFacts, before: SweepShare | None, begin: ToldTime, end: ToldTime) -> SweepShare:
-    """Return what a status says of a Sweep's share; numbers and times that are about the same stay.
+    """Return a Sweep's share as its status says it; numbers and times that are about the same stay.
 
     Args:
         facts: what is known.
@@ -99,7 +99,7 @@ def share_of(facts: ShareFacts, before: SweepShare | None, begin: ToldTime, end:
         begin: when its first run begins, as it was last told.
         end: when its last run ends, as it was last told.
     """
-    outlook = Outlook() if facts.blocked else facts.outlooks.get(facts.uid, Outlook())
+    outlook = SlotOutlook() if facts.blocked else facts.outlooks.get(facts.uid, SlotOutlook())
     limit, sooner = _limit(facts)
     spaces = {one.namespace for one in facts.others} | {facts.namespace}
     share = SweepShare(
@@ -127,15 +127,15 @@ def _is_about(share: SweepShare, before: SweepShare) -> bool:
     )
 
 
-def _begin(facts: ShareFacts, outlook: Outlook) -> float | None:
+def _begin(facts: ShareFacts, outlook: SlotOutlook) -> float | None:
     """Return in how many s its first run begins; None where it has begun, or nobody knows."""
     if facts.in_flight or outlook.start is None or not facts.place:
         return None
     return outlook.start + (facts.place / facts.rate if facts.rate else 0.0)
 
 
-def _origin(facts: ShareFacts, outlook: Outlook) -> str:
-    """Return where a forecast comes from, or why there is none."""
+def _origin(facts: ShareFacts, outlook: SlotOutlook) -> str:
+    """Return the origin of a forecast, or the reason why there is none."""
     if facts.blocked:
         return "none: nothing starts now"
     if facts.is_search:
@@ -168,7 +168,7 @@ def _about(count: int) -> str:
 
 
 def _limit(facts: ShareFacts) -> tuple[str, str]:
-    """Return what limits a Sweep, and what would make it sooner."""
+    """Return the limit of a Sweep, and the change that would make it sooner."""
     if facts.blocked:
         return facts.blocked[1], ""
     if not facts.pending:
@@ -214,14 +214,14 @@ def _by_rules(facts: ShareFacts) -> tuple[str, str]:
 
 
 def _by_sharing(facts: ShareFacts, larger: str) -> str:
-    """Return what would make a Sweep sooner that shares slots with others."""
+    """Return the changes that would make a Sweep sooner that shares slots with others."""
     if not facts.others:
         return larger
     weights = f"a larger spec.weight (now {facts.weight})"
     ends = [
         (outlook.end, one)
         for one in facts.others
-        if (outlook := facts.outlooks.get(one.name, Outlook())).end is not None
+        if (outlook := facts.outlooks.get(one.name, SlotOutlook())).end is not None
     ]
     if not ends:
         return f"{weights}, or {larger}"

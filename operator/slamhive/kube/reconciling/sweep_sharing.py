@@ -15,10 +15,10 @@ from slamhive.engine import (
     Contender,
     Division,
     NamespaceRule,
-    Outlook,
     PointState,
-    Turns,
-    Work,
+    SlotOutlook,
+    SlotTurns,
+    SlotWork,
     divide,
     foresee,
 )
@@ -48,13 +48,11 @@ _UNHEARD_SECONDS = 30.0
 """Time after which a Sweep that was called and does not look leaves its slots to others."""
 _IN_LINE_SECONDS = 30.0
 _NEWS_SLOTS, _NEWS_PART = 0.5, 0.15
-_OVERTAKEN = 3
-"""Pods made later that found nodes, after which one that waits is known to do so for its own reasons."""
 
 
 @dataclass(frozen=True)
 class SweepLook:
-    """What a Sweep shows of itself when it asks for slots.
+    """State of a Sweep that asks for slots.
 
     Attributes:
         key: its address.
@@ -82,7 +80,7 @@ class SweepLook:
 
 
 @dataclass(frozen=True)
-class Turn:
+class SlotGrant:
     """Answer to a Sweep that asks for slots.
 
     Attributes:
@@ -99,7 +97,7 @@ class Turn:
 
 
 @dataclass
-class _Account:
+class _ShareAccount:
     """State of one Sweep's share.
 
     Attributes:
@@ -108,7 +106,7 @@ class _Account:
         times: how long its runs take.
         waiting: names of its runs for which there is no room, each with the time since when.
         placed: names of its runs in flight whose pods have a node.
-        overtaken: pods made later than its waiting ones that found a node.
+        overtaken: pods of others, made later than its waiting ones, that found a node.
         work: what it has still to do.
         bounds: what quotas and nodes allow.
         window: runs that it may have in flight by itself.
@@ -124,7 +122,7 @@ class _Account:
     waiting: dict[str, float] = field(default_factory=dict)
     placed: set[str] = field(default_factory=set)
     overtaken: int = 0
-    work: Work = field(default_factory=Work)
+    work: SlotWork = field(default_factory=SlotWork)
     bounds: tuple[Bound | None, Bound | None] = (None, None)
     window: int = 0
     called: float | None = None
@@ -136,10 +134,10 @@ class _Account:
     @property
     def is_stuck(self) -> bool:
         """Tell whether its pods that wait do so for reasons of their own."""
-        return bool(self.waiting) and self.overtaken >= _OVERTAKEN
+        return bool(self.waiting) and self.overtaken > 0
 
     def standing(self, now: float) -> Contender:
-        """Return what counts for the others: who doesn't answer, or can't be placed, asks for nothing."""
+        """Return its part among the others: who doesn't answer, or can't be placed, asks for nothing."""
         unheard = self.called is not None and now - self.called > _UNHEARD_SECONDS
         asks = 0 if self.is_stuck or unheard else self.contender.asks + len(self.waiting)
         return replace(self.contender, asks=asks)
@@ -154,24 +152,24 @@ class SlotSharing:
 
     def __init__(self, archive: Archive | None = None) -> None:
         self._archive = archive
-        self._accounts: dict[str, _Account] = {}
-        self._turns = Turns()
+        self._accounts: dict[str, _ShareAccount] = {}
+        self._turns = SlotTurns()
         self._division = Division()
         self._passed = 0.0
         self._has_begun = False
         self._felt: FeltRoom | None = None
         self._seen = SeenRoom()
         self._budgets = CpuBudgets(archive)
-        self._outlooks: tuple[float, dict[str, Outlook]] = (0.0, {})
+        self._outlooks: tuple[float, dict[str, SlotOutlook]] = (0.0, {})
 
-    async def turn(self, cluster: Cluster, look: SweepLook, now: float) -> Turn:
-        """Return how many runs a Sweep may start now; what it is given counts as held until its next look."""
+    async def turn(self, cluster: Cluster, look: SweepLook, now: float) -> SlotGrant:
+        """Return the number of runs that a Sweep may start now; these count as held until its next look."""
         self._begin(cluster, now)
         uid, namespace = look.sweep.metadata.uid or "", look.key.namespace
         account = self._take_note(cluster, look, now)
         if not look.asks and not account.contender.held and not account.waiting:
             self.leave(cluster, uid)
-            return Turn(0)
+            return SlotGrant(0)
         if look.asks:
             await self._look_at_room(cluster, look, account)
         blocked = await self._budgets.exhausted(cluster, namespace, now) if look.asks else None
@@ -185,7 +183,7 @@ class SlotSharing:
             await self._tell(cluster, replace(look, asks=look.asks - starts), account, blocked)
         delays = [wait] if wait > 0 else []
         delays += [_IN_LINE_SECONDS] if look.asks > starts else []
-        return Turn(starts, blocked, account.share, min(delays, default=None))
+        return SlotGrant(starts, blocked, account.share, min(delays, default=None))
 
     def begun(self, uid: str, runs: Iterable[Object], now: float) -> None:
         """Note that runs of a Sweep were begun: they may have ended when it looks again."""
@@ -228,16 +226,16 @@ class SlotSharing:
                     since=moment(meta.get("creationTimestamp")) or now,
                 )
                 key = Key(Kind.SWEEP, namespace, meta["name"])
-                self._accounts[meta["uid"]] = _Account(key, contender, window=window)
+                self._accounts[meta["uid"]] = _ShareAccount(key, contender, window=window)
                 self._felt.limit += held  # they found room before
 
-    def _take_note(self, cluster: Cluster, look: SweepLook, now: float) -> _Account:
+    def _take_note(self, cluster: Cluster, look: SweepLook, now: float) -> _ShareAccount:
         """Take note of a Sweep's runs: which hold slots, which wait for room, which have ended."""
         meta = look.sweep.metadata
         uid = meta.uid or ""
         known = uid in self._accounts
         if not known:
-            self._accounts[uid] = _Account(look.key, Contender(uid, look.key.namespace, 0, 0, since=now))
+            self._accounts[uid] = _ShareAccount(look.key, Contender(uid, look.key.namespace, 0, 0, since=now))
         account = self._accounts[uid]
         if not account.times.kinds and not account.times.sums:
             account.times.sample(look.memory)
@@ -268,7 +266,7 @@ class SlotSharing:
         return account
 
     def _standing(
-        self, cluster: Cluster, look: SweepLook, active: list[Object], account: _Account, now: float
+        self, cluster: Cluster, look: SweepLook, active: list[Object], account: _ShareAccount, now: float
     ) -> tuple[dict[str, float], set[str]]:
         """Return the names of runs that wait for room, with since when, and of those that have a node."""
         pods = live_pods(
@@ -295,7 +293,7 @@ class SlotSharing:
     def _held(self) -> int:
         return sum(account.contender.held for account in self._accounts.values())
 
-    async def _look_at_room(self, cluster: Cluster, look: SweepLook, account: _Account) -> None:
+    async def _look_at_room(self, cluster: Cluster, look: SweepLook, account: _ShareAccount) -> None:
         """Find out what quotas and nodes allow for runs of a Sweep."""
         index = next(iter(look.runs), 0)
         asked = least_requests(look.memory.plan.point(index).spec["resources"], cluster.settings)
@@ -327,10 +325,19 @@ class SlotSharing:
         account = self._accounts.get(uid or "")
         if account is None or account.waiting:
             return 0  # its pods that wait have the next slots
-        starts = min(given.get(account.contender.name, 0), account.contender.asks)
         contender = account.contender
+        starts = min(given.get(contender.name, 0), contender.asks)
+        if not starts and contender.asks and contender.held < self._division.sweeps[contender.name]:
+            # Slots may be kept for pods of others that can never have them: one of its own finds that out.
+            starts = int(any(self._accounts[name].waiting for name in given) and self._may_probe(cluster))
         account.contender = replace(contender, held=contender.held + starts, asks=contender.asks - starts)
         return starts
+
+    def _may_probe(self, cluster: Cluster) -> bool:
+        """Tell whether a run more may be in flight by the chart's values."""
+        slots = cluster.settings.sharing.slots
+        flying = sum(len(one.waiting) + one.contender.held for one in self._accounts.values())
+        return slots is None or flying < slots
 
     def _call_for_news(self, cluster: Cluster, uid: str | None) -> None:
         """Have other Sweeps look, soon, whose shares are clearly not those that they tell of."""
@@ -341,7 +348,7 @@ class SlotSharing:
                 cluster.queue.add(account.key, cluster.settings.sweep_write_seconds)
 
     @staticmethod
-    def _bounded(account: _Account, contender: Contender) -> Contender:
+    def _bounded(account: _ShareAccount, contender: Contender) -> Contender:
         """Return a contender that asks for no more than the cluster's nodes could hold."""
         bound = account.bounds[1]
         if bound is None:
@@ -373,7 +380,7 @@ class SlotSharing:
         return min((one for one in (room, slots) if one is not None), default=None)
 
     async def _tell(
-        self, cluster: Cluster, look: SweepLook, account: _Account, blocked: tuple[str, str] | None
+        self, cluster: Cluster, look: SweepLook, account: _ShareAccount, blocked: tuple[str, str] | None
     ) -> None:
         """Find out what a Sweep's status says of its share."""
         now = account.told_at = cluster.clock()
@@ -411,7 +418,7 @@ class SlotSharing:
         )
         account.share = share_of(facts, account.share, account.begin, account.end)
 
-    async def _learn_from_archive(self, account: _Account) -> None:
+    async def _learn_from_archive(self, account: _ShareAccount) -> None:
         """Have earlier runs of the same kinds say how long they take, once."""
         times = account.times
         if self._archive is None or times.archived or not times.unknown or account.share is not None:
@@ -426,7 +433,7 @@ class SlotSharing:
         times.take(costs)
 
     def _place(
-        self, account: _Account, crowd: list[Contender], rules: dict[str, NamespaceRule]
+        self, account: _ShareAccount, crowd: list[Contender], rules: dict[str, NamespaceRule]
     ) -> int | None:
         """Return the place of a Sweep in the line for the next free slot; None where it isn't in one."""
         name = account.contender.name
@@ -439,12 +446,12 @@ class SlotSharing:
         return line.index(name) + 1 if name in line else len(line) + 1
 
     def _rate(self) -> float:
-        """Return how many slots become free in a second."""
+        """Return the number of slots that become free in a second."""
         known = ((account.contender.held, account.work.a_run) for account in self._accounts.values())
         return sum(held / seconds for held, seconds in known if seconds)
 
 
-def _impossible(account: _Account) -> tuple[str, str] | None:
+def _impossible(account: _ShareAccount) -> tuple[str, str] | None:
     """Return reason and sentence of what keeps a Sweep from having any run; None where waiting helps."""
     for bound, reason in zip(account.bounds, ("QuotaExceeded", "NoNodeFits"), strict=True):
         if bound is not None and bound.runs == 0:

@@ -76,6 +76,7 @@ function One({ name, namespace }) {
     ['first run began', sweep.started && time(sweep.started)],
     ['last run ended', sweep.finished && time(sweep.finished)],
     ['evaluation', sweep.evaluation && clip(cell(sweep.evaluation), 200)],
+    ...shareFacts(sweep.share ?? {}),
   ].filter(([, value]) => value);
   const finished = (sweep.phases?.Succeeded ?? 0) + (sweep.phases?.Failed ?? 0);
   return html`
@@ -184,6 +185,23 @@ function One({ name, namespace }) {
       </p>
     </div>
   `;
+}
+
+/**
+ * What it has of the cluster, as its status tells.
+ * @param {Record<string, any>} share
+ */
+function shareFacts(share) {
+  const slots = share.of ? ` of ${share.of}` : '';
+  return [
+    ['share', share.fair !== undefined && `${share.fair}${slots} runs in flight`],
+    ['place in the line', share.place],
+    ['begins', share.begin],
+    ['ends', share.end],
+    ['forecast', share.forecast],
+    ['limited by', share.limit && clip(share.limit, 400)],
+    ['sooner by', share.sooner && clip(share.sooner, 400)],
+  ];
 }
 
 /** @param {{conditions: Api.Condition[]}} props */
