@@ -50,7 +50,6 @@ DEFAULTS: Object = {
     "include": [],
     "repetitions": 1,
     "retention": {"files": "Keep", "runs": 1000},
-    "weight": 1,
     "search": {
         "aggregate": "Mean",
         "atATime": 4,

@@ -136,10 +136,6 @@ class Cluster:
         meta = {"uid": f"uid-{body['metadata']['name']}", "generation": 1, "creationTimestamp": iso(self.now)}
         return body | {"metadata": meta | body["metadata"] | {"resourceVersion": str(self._version)}}
 
-    async def quotas(self, namespace: str) -> list[dict[str, Any]]:
-        """Return no ResourceQuota."""
-        return []
-
     async def get(self, key: Key) -> dict[str, Any]:
         if key not in self.objects:
             raise NotFound(f"{key} not found", status=404)
