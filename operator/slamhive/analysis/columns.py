@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 _EXACT = 2.0**53
 _PLAIN = {int, float, type(None)}
+_FEW_WORDS = 8
 _FEW = 127
 """Different values up to which codes have a byte."""
 _MANY = 256
@@ -281,7 +282,7 @@ class Column:
             return np.zeros(len(self), dtype=bool)
         words = frozenset(wanted) if self.kind is ColumnKind.TEXT else tuple(wanted)  # lists have no hash
         values = self.values
-        if isinstance(values, PackedTexts):
+        if isinstance(values, PackedTexts) and len(words) <= _FEW_WORDS:
             verdicts = np.zeros(len(values) + 1, dtype=bool)
             for word in words:
                 verdicts[values.places(word)] = True

@@ -15,6 +15,7 @@ from slamhive.dashboard.sources.cluster import ClusterSource
 from slamhive.kube.api.client import Api
 from slamhive.kube.api.kinds import Key, Kind, Label
 from slamhive.kube.records import record_of
+from slamhive.model.results import Phase
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Awaitable, Callable
@@ -151,19 +152,24 @@ async def test_live_runs_stand_beside_archived_ones_and_before_their_likeness(
 ) -> None:
     made = await make("both", **STATUS)
     old = record_of(made).replace(results=[], log_tail="old")
+    # As one beyond its Sweep's retention is, for a moment.
+    untold = record_of(await make("untold", phase="Running")).replace(phase=Phase.FAILED)
     with Archive.open(url) as archive:
-        archive.put_runs([old, *(make_run(number) for number in range(5))])
+        archive.put_runs([old, untold, *(make_run(number) for number in range(5))])
     async with open_app(source) as client:
 
         async def complete() -> bool:
             answer = await client.raw.get("/api/v1/runs?sort=uid")
-            return bool(answer.status_code == 200 and answer.json()["total"] == 6)
+            return bool(answer.status_code == 200 and answer.json()["total"] == 7)
 
         await until(complete)
         (item,) = (await client.get("/runs?name=both"))["items"]
         assert (item["outcome"], item["id"] < 0) == ("Tracked", True)
+        (item,) = (await client.get("/runs?name=untold"))["items"]
+        assert (item["phase"], item["id"] < 0) == ("Failed", False)
+        assert (await client.get(f"/runs/{item['uid']}"))["phase"] == "Failed"
         board = (await client.get("/analysis/aggregate?by=algorithm&metrics=ate.rmse"))["groups"]
-        assert sum(group["runs"] for group in board) == 6
+        assert sum(group["runs"] for group in board) == 7
 
 
 async def test_an_archive_that_is_away_is_said_and_the_rest_goes_on(

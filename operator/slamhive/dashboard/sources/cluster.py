@@ -57,8 +57,8 @@ MAX_LIVE_COLUMNS = 300
 class ClusterSource:
     """Live objects of some namespaces, and the archive behind them.
 
-    A run that is in both is shown as it is live. When either does not answer, what was known of it last is
-    shown on, and a sentence says so.
+    A run that is in both is shown as it is live, or as it ended where its object is not told of that. When
+    either does not answer, what was known of it last is shown on, and a sentence says so.
 
     Args:
         namespaces: which.
@@ -197,12 +197,17 @@ class ClusterSource:
         """Return a run: as it is live, else from the archive."""
         for run in self._cluster.all_runs():
             if run.uid == uid:
+                if run.live and self._archived and (ended := self._archived_run(uid)) is not None:
+                    return ended
                 obj = self._fetch(Key(Kind.MAPPING_RUN, run.namespace, run.name))
                 if obj is not None and obj["metadata"].get("uid") == uid:
                     held = self._cluster.others.get((Kind.DATASET, run.namespace), {})
                     dataset = held.get(run.dataset or "", {"spec": {}})
                     record = record_of(obj, attributes=dataset["spec"].get("attributes"))
                     return record.replace(cluster=self._identity)
+        return self._archived_run(uid)
+
+    def _archived_run(self, uid: str) -> RunRecord | None:
         return self._archive.archive().get(uid) if self._archive is not None else None
 
     def sweeps(self) -> list[SweepRecord]:
@@ -264,6 +269,10 @@ class ClusterSource:
         sweeps: dict[tuple[str, str], dict[str, Any]],
     ) -> Frame:
         archived = self._archive.frame if self._archive is not None else Frame({}, 0)
+        if len(archived):
+            uids = archived.column("uid")
+            ended = {*archived.select(uids.among(run.uid for run in runs if run.live)).column("uid").tolist()}
+            runs = [run for run in runs if run.uid not in ended]
         if not runs:
             self._dropped = None
             return archived
@@ -273,10 +282,7 @@ class ClusterSource:
         parts = [columns_of_live(runs, self._numbers, datasets, settings, self._identity)]
         self._dropped = _dropped_sentence(bound(parts, archived.stored, MAX_LIVE_COLUMNS))
         if len(archived):
-            uids = archived.column("uid")
-            names = {run.uid for run in runs}
-            hidden = uids.among(names)
-            kept = archived.select(~hidden)
+            kept = archived.select(~uids.among({run.uid for run in runs}))
             parts.append(({name: kept.column(name) for name in kept.stored}, len(kept)))
         columns, length = stack([part for part in parts if part[1]])
         # A Sweep that the cluster holds is the current one of its name, whenever it was made.
