@@ -22,12 +22,11 @@ from slamhive.engine import (
     divide,
     foresee,
 )
-from slamhive.kube.api.kinds import Key, Kind, Label, labels_of
+from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.builders.common import label_value
 from slamhive.kube.builders.run import least_requests
 from slamhive.kube.capacity import Bound, FeltRoom, SeenRoom
 from slamhive.kube.pods import condition as condition_of
-from slamhive.kube.pods import live_pods
 from slamhive.kube.reconciling.archiving import ArchiveAway, in_thread
 from slamhive.kube.reconciling.sweep_budgets import CpuBudgets
 from slamhive.kube.reconciling.sweep_forecast import RunTimes, ToldTime
@@ -35,7 +34,7 @@ from slamhive.kube.reconciling.sweep_shares import ShareFacts, share_of
 from slamhive.kube.status import moment
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from slamhive.archive import Archive
     from slamhive.kube.api.kinds import Object
@@ -59,7 +58,8 @@ class SweepLook:
         sweep: the Sweep.
         memory: its points.
         runs: its live runs, by point.
-        leaving: pods at work whose runs are over.
+        pods: pods at work by the label of their run.
+        leaving: how many of them have runs that are over.
         window: runs that it may have in flight by itself.
         asks: runs that it would start now.
     """
@@ -68,6 +68,7 @@ class SweepLook:
     sweep: Sweep
     memory: SweepMemory
     runs: Mapping[int, Object]
+    pods: Mapping[str, Sequence[Object]]
     leaving: int
     window: int
     asks: int
@@ -166,7 +167,7 @@ class SlotSharing:
         """Return the number of runs that a Sweep may start now; these count as held until its next look."""
         self._begin(cluster, now)
         uid, namespace = look.sweep.metadata.uid or "", look.key.namespace
-        account = self._take_note(cluster, look, now)
+        account = self._take_note(look, now)
         if not look.asks and not account.contender.held and not account.waiting:
             self.leave(cluster, uid)
             return SlotGrant(0)
@@ -229,7 +230,7 @@ class SlotSharing:
                 self._accounts[meta["uid"]] = _ShareAccount(key, contender, window=window)
                 self._felt.limit += held  # they found room before
 
-    def _take_note(self, cluster: Cluster, look: SweepLook, now: float) -> _ShareAccount:
+    def _take_note(self, look: SweepLook, now: float) -> _ShareAccount:
         """Take note of a Sweep's runs: which hold slots, which wait for room, which have ended."""
         meta = look.sweep.metadata
         uid = meta.uid or ""
@@ -241,7 +242,7 @@ class SlotSharing:
             account.times.sample(look.memory)
             account.times.learn(one.run for one in look.memory.finished.values())
         active = look.active
-        waiting, placed = self._standing(cluster, look, active, account, now)
+        waiting, placed = _standing(look, active, account.waiting, now)
         reused = {one.run["metadata"]["uid"] for one in look.memory.finished.values() if one.reused}
         flights = {label_value(one.name): one.began for one in account.times.flying.values()}
         ended = {label_value(one.name) for one in account.times.look(active, reused, now)}
@@ -264,24 +265,6 @@ class SlotSharing:
             at_once = len(found - before)
             self._felt.note(at_once, len(refused), used, self._held(), is_drained=drained)
         return account
-
-    def _standing(
-        self, cluster: Cluster, look: SweepLook, active: list[Object], account: _ShareAccount, now: float
-    ) -> tuple[dict[str, float], set[str]]:
-        """Return the names of runs that wait for room, with since when, and of those that have a node."""
-        pods = live_pods(
-            cluster.store.select(Kind.POD, look.key.namespace, Label.SWEEP, label_value(look.key.name))
-        )
-        of_run = {labels_of(pod).get(Label.RUN, ""): pod for pod in pods}
-        waiting, placed = {}, set()
-        for run in active:
-            name = label_value(run["metadata"]["name"])
-            pod = of_run.get(name)
-            if pod is not None and pod["spec"].get("nodeName"):
-                placed.add(name)
-            elif _lacks_room(run, pod):
-                waiting[name] = account.waiting.get(name, now)
-        return waiting, placed
 
     def _overtake(self, uid: str, made: list[float]) -> None:
         """Count for others' pods that wait how many, made later, have found a node now."""
@@ -463,6 +446,21 @@ def _pending(look: SweepLook) -> int:
     if look.memory.search is not None:
         return look.asks
     return look.memory.states.count(PointState.PENDING)
+
+
+def _standing(
+    look: SweepLook, active: Iterable[Object], waited: Mapping[str, float], now: float
+) -> tuple[dict[str, float], set[str]]:
+    """Return the names of runs that wait for room, with since when, and of those that have a node."""
+    waiting, placed = {}, set()
+    for run in active:
+        name = label_value(run["metadata"]["name"])
+        pod = next(reversed(look.pods.get(name, ())), None)
+        if pod is not None and pod["spec"].get("nodeName"):
+            placed.add(name)
+        elif _lacks_room(run, pod):
+            waiting[name] = waited.get(name, now)
+    return waiting, placed
 
 
 def _lacks_room(run: Object, pod: Mapping[str, Any] | None) -> bool:
