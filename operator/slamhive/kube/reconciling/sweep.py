@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from slamhive.archive.known import known_trials
 from slamhive.engine import (
@@ -68,6 +68,8 @@ from slamhive.model.sweep import CachePolicy, Sweep
 from slamhive.sampling import Sampler
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from slamhive.archive import Archive
     from slamhive.kube.cluster import Cluster
     from slamhive.kube.reconciling.catalogue import Catalogue
@@ -418,7 +420,7 @@ class SweepReconciler:
         cluster: Cluster,
         seen: SweepPicture,
         indices: tuple[int, ...],
-        leaving: list[Object],
+        leaving: list[Mapping[str, Any]],
         now: float,
     ) -> str | None:
         """Create the runs of points; returns why some could not be."""

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import (
     PointState,
@@ -92,16 +92,16 @@ def is_outdated(seen: SweepPicture) -> bool:
     )
 
 
-def pods_at_work(cluster: Cluster, seen: SweepPicture) -> dict[str, list[Object]]:
+def pods_at_work(cluster: Cluster, seen: SweepPicture) -> dict[str, list[Mapping[str, Any]]]:
     """Return the pods of its runs that are at work, by the run's label."""
     pods = cluster.store.select(Kind.POD, seen.key.namespace, Label.SWEEP, label_value(seen.key.name))
-    found: dict[str, list[Object]] = {}
+    found: dict[str, list[Mapping[str, Any]]] = {}
     for pod in live_pods(pods):
         found.setdefault(labels_of(pod).get(Label.RUN, ""), []).append(pod)
     return found
 
 
-def leaving_pods(seen: SweepPicture, pods: Mapping[str, list[Object]]) -> list[Object]:
+def leaving_pods(seen: SweepPicture, pods: Mapping[str, list[Mapping[str, Any]]]) -> list[Mapping[str, Any]]:
     """Return the pods at work whose runs were deleted or are over: a slot is free when its pod has ended."""
     going = (run for run in seen.runs.values() if state_of(run) is PointState.ACTIVE)
     active = {label_value(run["metadata"]["name"]) for run in going}
