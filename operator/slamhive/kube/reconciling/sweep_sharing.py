@@ -68,7 +68,7 @@ class SweepLook:
     sweep: Sweep
     memory: SweepMemory
     runs: Mapping[int, Object]
-    pods: Mapping[str, Sequence[Object]]
+    pods: Mapping[str, Sequence[Mapping[str, Any]]]
     leaving: int
     window: int
     asks: int
@@ -212,7 +212,7 @@ class SlotSharing:
         if self._has_begun:
             return
         self._has_begun, self._passed = True, now
-        self._felt = FeltRoom(cluster.settings.default_parallelism)
+        self._felt = FeltRoom(cluster.settings.default_parallelism, cluster.settings.sharing.waiting_pods)
         for namespace in cluster.settings.namespaces:
             for body in cluster.store.of(Kind.SWEEP, namespace):
                 spec, status, meta = body["spec"], body["status"], body["metadata"]
@@ -248,7 +248,6 @@ class SlotSharing:
         ended = {label_value(one.name) for one in account.times.look(active, reused, now)}
         # Who has ended had a node too, if only for a moment, but for those that were cancelled meanwhile.
         found = (placed | (ended - account.waiting.keys())) - account.placed
-        drained = not waiting and bool(found & account.waiting.keys())
         refused = waiting.keys() - account.waiting.keys()
         account.overtaken = account.overtaken if waiting else 0
         self._overtake(uid, [flights.get(name, now) for name in found])
@@ -263,7 +262,7 @@ class SlotSharing:
         )
         if self._felt is not None:
             at_once = len(found - before)
-            self._felt.note(at_once, len(refused), used, self._held(), is_drained=drained)
+            self._felt.note(at_once, len(refused), used, self._held())
         return account
 
     def _overtake(self, uid: str, made: list[float]) -> None:
@@ -306,11 +305,13 @@ class SlotSharing:
                 cluster.queue.add(other.key)
         self._call_for_news(cluster, uid)
         account = self._accounts.get(uid or "")
-        if account is None or account.waiting:
-            return 0  # its pods that wait have the next slots
-        contender = account.contender
-        starts = min(given.get(contender.name, 0), contender.asks)
-        if not starts and contender.asks and contender.held < self._division.sweeps[contender.name]:
+        if account is None:
+            return 0
+        contender, waiting = account.contender, len(account.waiting)
+        # Its pods that wait have the next slots.
+        starts = min(max(0, given.get(contender.name, 0) - waiting), contender.asks)
+        is_behind = contender.held < self._division.sweeps[contender.name]
+        if not starts and not waiting and contender.asks and is_behind:
             # Slots may be kept for pods of others that can never have them: one of its own finds that out.
             starts = int(any(self._accounts[name].waiting for name in given) and self._may_probe(cluster))
         account.contender = replace(contender, held=contender.held + starts, asks=contender.asks - starts)
@@ -356,10 +357,12 @@ class SlotSharing:
 
     def _capacity(self, cluster: Cluster) -> int | None:
         """Return the slots that there are, without those of runs that wait for a node."""
-        room = self._felt.limit if self._felt is not None else None
+        waits = sum(len(account.waiting) for account in self._accounts.values())
+        placed = sum(len(account.placed) for account in self._accounts.values())
+        room = self._felt.slots(waits, max(0, self._held() - placed)) if self._felt is not None else None
         slots = cluster.settings.sharing.slots
         if slots is not None:
-            slots = max(0, slots - sum(len(account.waiting) for account in self._accounts.values()))
+            slots = max(0, slots - waits)
         return min((one for one in (room, slots) if one is not None), default=None)
 
     async def _tell(
