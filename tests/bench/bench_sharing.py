@@ -2,7 +2,7 @@
 """Benchmark of shares and forecasts: two namespaces, a Sweep each with weights 3 to 1, one operator.
 
 Runs are played on a real control plane, evaluated and archived; first with ``sharing.slots``, then without,
-on nodes of limited room. Each second is noted which namespace has how many runs on nodes, and what its Sweep
+on nodes of limited room. Each second is noted which namespace has how many runs in flight, and what its Sweep
 says of its end. ``python tests/bench/bench_sharing.py 2000`` has as many runs in each Sweep.
 """
 
@@ -35,7 +35,7 @@ RUNS = 500
 SLOTS = 32
 WEIGHTS = {"three": 3, "one": 1}
 """Of the Sweep in each namespace."""
-RUN_MILLISECONDS = 4000
+RUN_SECONDS = 4.0
 NODES = 4
 WARM_SECONDS = 60.0
 """The first minute: what comes after it counts."""
@@ -44,20 +44,20 @@ GOAL = 1 / 3
 """Error of a forecast that is good enough."""
 FORECASTS = (0.10, 0.25, 0.50, 0.75)
 """Parts of a Sweep at which its forecast is compared with what came."""
-_AT_WORK = (
-    "/api/v1/pods?labelSelector=slamhive.io/role%3Drun"
-    "&fieldSelector=status.phase%21%3DSucceeded,status.phase%21%3DFailed"
+_PATHS = (
+    "/api/v1/pods?labelSelector=slamhive.io/role%3Drun&fieldSelector=status.phase%3DPending",
+    "/apis/slamhive.io/v1alpha1/sweeps",
 )
 _UNITS = {"min": 60.0, "h": 3600.0, "days": 86400.0, "day": 86400.0}
 
 
 @dataclass
 class Sampled:
-    """What was seen of a namespace, a value each second.
+    """Series of what is seen of a namespace, a value each second.
 
     Attributes:
         seconds: since the Sweeps were applied.
-        runs: runs on nodes.
+        runs: runs in flight, by its status, without those that wait.
         waiting: runs whose pods have no node.
         done: part of the Sweep's runs that have ended.
         forecast: what its status said of its end.
@@ -101,14 +101,15 @@ def seconds_of(words: str | None) -> float | None:
 
 def sample(access: Cluster, began: float, seen: dict[str, Sampled], count: int) -> None:
     """Take a sample of each namespace."""
-    pods = json.loads(access.kubectl("get", "--raw", _AT_WORK))["items"]
-    sweeps = json.loads(access.kubectl("get", "--raw", "/apis/slamhive.io/v1alpha1/sweeps"))["items"]
+    pods, sweeps = (json.loads(access.kubectl("get", "--raw", path))["items"] for path in _PATHS)
     statuses = {body["metadata"]["namespace"]: body.get("status") or {} for body in sweeps}
     now = time.monotonic() - began
-    placed = Counter(pod["metadata"]["namespace"] for pod in pods if pod["spec"].get("nodeName"))
-    there = Counter(pod["metadata"]["namespace"] for pod in pods)
+    waiting = Counter(pod["metadata"]["namespace"] for pod in pods if not pod["spec"].get("nodeName"))
     for space, one in seen.items():
-        one.take(now, placed[space], there[space] - placed[space], statuses.get(space, {}), count)
+        status = statuses.get(space, {})
+        # A status may be some seconds older than the pods.
+        flying = max(0, (status.get("running") or 0) - waiting[space])
+        one.take(now, flying, waiting[space], status, count)
 
 
 def play(access: Cluster, pool: Pool, count: int, slots: int | None) -> None:
@@ -187,7 +188,7 @@ def tell_shares(what: str, three: Sampled, one: Sampled, slots: int | None) -> N
         None,
     )
     operating.report(
-        f"runs on nodes, {what}",
+        f"runs in flight, {what}",
         f"{statistics.fmean(whole):.1f} ({min(whole)} to {max(whole)})",
         f"nine tenths after {first:.0f} s; {statistics.fmean(waits):.1f} pods waited, {max(waits)} at most",
     )
@@ -211,6 +212,7 @@ def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description="Benchmark of shares and forecasts.")
     parser.add_argument("runs", type=int, nargs="?", default=RUNS, help=f"of each Sweep, default {RUNS}")
+    parser.add_argument("--seconds", type=float, default=RUN_SECONDS, help="how long a run takes")
     parser.add_argument("--only", choices=("slots", "nodes"), help="one of both parts")
     options = parser.parse_args()
     if why := operating.lacking():
@@ -221,7 +223,9 @@ def main() -> None:
     )
     with (
         operating.cluster("bench-sharing", node=False) as access,
-        Kwok(access).play(Play(delay_milliseconds=RUN_MILLISECONDS), pool="shared", nodes=NODES) as pool,
+        Kwok(access).play(
+            Play(delay_milliseconds=int(1000 * options.seconds)), pool="shared", nodes=NODES
+        ) as pool,
     ):
         if options.only != "nodes":
             play(access, pool, options.runs, SLOTS)
