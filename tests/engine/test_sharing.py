@@ -16,7 +16,7 @@ SPACES = ["a", "b", "c"]
 
 
 @st.composite
-def crowds(draw: st.DrawFn, *, levels: int = 2) -> list[Contender]:
+def crowds(draw: st.DrawFn) -> list[Contender]:
     count = draw(st.integers(1, 8))
     return [
         Contender(
@@ -25,7 +25,6 @@ def crowds(draw: st.DrawFn, *, levels: int = 2) -> list[Contender]:
             held=0,
             asks=draw(st.integers(0, 40)),
             weight=draw(st.integers(1, 1000)),
-            priority=draw(st.integers(0, levels - 1)),
         )
         for number in range(count)
     ]
@@ -64,12 +63,12 @@ def test_each_has_its_fair_number_within_one_slot(
     slots, fair = served(capacity, crowd, told), divide(capacity, crowd, told)
     for one in crowd:
         assert abs(slots[one.name] - fair.sweeps[one.name]) < 2  # whole for its namespace, then for itself
-    for (level, space), part in fair.namespaces.items():
-        inside = sum(slots[one.name] for one in crowd if (one.priority, one.namespace) == (level, space))
+    for space, part in fair.namespaces.items():
+        inside = sum(slots[one.name] for one in crowd if one.namespace == space)
         assert math.floor(part + 1e-9) <= inside <= math.ceil(part - 1e-9)
 
 
-@given(st.integers(1, 100), crowds(levels=1))
+@given(st.integers(1, 100), crowds())
 def test_who_does_not_get_all_it_asks_for_gets_by_weight(capacity: int, crowd: list[Contender]) -> None:
     fair = divide(capacity, crowd).sweeps
     for one in crowd:
@@ -83,18 +82,6 @@ def test_a_second_sweep_does_not_double_a_labs_share() -> None:
     assert divide(60, crowd).sweeps == {"a1": 15, "a2": 15, "b1": 30}
     assert divide(60, crowd, {"a": NamespaceRule(weight=5)}).sweeps == {"a1": 25, "a2": 25, "b1": 10}
     assert divide(60, crowd, {"b": NamespaceRule(slots=10)}).sweeps == {"a1": 25, "a2": 25, "b1": 10}
-
-
-def test_higher_priority_comes_first_and_the_rest_is_shared() -> None:
-    crowd = [
-        Contender("low", "a", 10, 100, weight=1000),
-        Contender("high", "b", 0, 6, priority=5),
-        Contender("other", "c", 0, 100, weight=1),
-    ]
-    fair = divide(10, crowd)
-    assert fair.sweeps["high"] == 6
-    assert fair.sweeps["low"] + fair.sweeps["other"] == pytest.approx(4)
-    assert SlotTurns().next(11, crowd, fair) == ["high"]
 
 
 def test_a_slot_that_is_free_goes_to_who_is_behind_and_no_run_is_broken_off() -> None:
@@ -162,9 +149,8 @@ def test_what_is_to_come_is_foreseen() -> None:
     # 5 slots each for 10 s, then 10 for the one that is left: 100 slot-seconds more.
     assert (outlooks["small"].end, outlooks["large"].end) == (10, 20)
     assert outlooks["idle"].end is None
-    first = foresee(
-        10, [replace(crowd[0], priority=1, held=10, asks=0), replace(crowd[1], held=0, asks=10)], works
-    )
-    assert first["large"].start == 5
+    # The rest of one that asks for all of its namespace's slots.
+    ruled = foresee(10, crowd[:2], works, {"b": NamespaceRule(slots=0)})
+    assert (ruled["small"].end, ruled["large"].start) == (5, None)
     unknown = foresee(10, crowd[:2], {"large": SlotWork(150.0, 5.0)})
     assert (unknown["small"].end, unknown["large"].end) == (None, 30)

@@ -154,6 +154,7 @@ CAN = {
         "pods": READ,
         "pods/log": ("get",),
         "pods.metrics.k8s.io": ("get", "list"),
+        "resourcequotas": ("list",),
         "events": ("get", "list", "create", "patch"),
     },
     "runs": {},

@@ -52,6 +52,7 @@ def test_the_operator_has_what_it_needs(helm: Any) -> None:
     assert found["pods"] == READ
     assert found["pods/log"] == {"get"}
     assert found["pods.metrics.k8s.io"] == {"get", "list"}
+    assert found["resourcequotas"] == {"list"}
     assert found["events"] == {"get", "list", "create", "patch"}
     # What people describe is theirs: the operator changes only its state.
     for kind in KINDS - {"mappingruns"}:
@@ -93,6 +94,16 @@ def test_beyond_the_namespaces_one_right_is_given_to_who_asks_for_it(helm: Any) 
     }
     accounts = [subject["name"] for subject in binding["subjects"]]
     assert accounts == ["slamhive-operator", "slamhive-dashboard"]
+
+
+def test_nodes_are_listed_by_the_operator_alone_where_that_is_asked_for(helm: Any) -> None:
+    objects = helm.objects("--set", "sharing.readNodes=true")
+    role, binding = (one for one in objects if one["kind"].startswith("Cluster"))
+    # Two releases of one name, in two namespaces, don't meet there.
+    assert role["metadata"]["name"] == binding["roleRef"]["name"] == "slamhive-nodes-lab"
+    assert role["rules"] == [{"apiGroups": [""], "resources": ["nodes"], "verbs": ["list"]}]
+    accounts = [(one["name"], one["namespace"]) for one in binding["subjects"]]
+    assert accounts == [("slamhive-operator", "lab")]
 
 
 def test_a_policy_holds_the_operator_to_its_own_jobs_where_that_is_asked_for(helm: Any) -> None:

@@ -55,6 +55,10 @@ def test_everything_set_arrives(helm: Any, tmp_path: Path) -> None:
     assert found.passed_labels == ["kueue.x-k8s.io/", "example.org/team"]
     assert not found.custom_evaluators
     assert (found.output_limit, found.output_files) == ("2Gi", 5000)
+    sharing = found.sharing
+    assert (sharing.slots, sharing.waiting_pods, sharing.read_nodes) == (64, 4, False)
+    students = sharing.namespaces["students"]
+    assert (students.weight, students.slots, students.cpu_hours) == (1, 16, 500)
     pods = found.pods
     assert pods.service_account_name == "hive-runs"
     assert pods.node_selector == {"pool": "runs"}

@@ -30,7 +30,6 @@ class Contender:
         held: runs of it that have slots.
         asks: further slots that it would take now.
         weight: its weight in its namespace.
-        priority: value of its priority class: those of the highest come first.
         since: since when it is there, s: of equal ones the oldest comes first.
     """
 
@@ -39,7 +38,6 @@ class Contender:
     held: int
     asks: int
     weight: int = 1
-    priority: int = 0
     since: float = 0.0
 
     @property
@@ -70,11 +68,11 @@ class Division:
 
     Attributes:
         sweeps: by the name of the Sweep.
-        namespaces: by priority and namespace.
+        namespaces: by the name of the namespace.
     """
 
     sweeps: Mapping[str, float] = field(default_factory=dict)
-    namespaces: Mapping[tuple[int, str], float] = field(default_factory=dict)
+    namespaces: Mapping[str, float] = field(default_factory=dict)
 
 
 def fill(amount: float, vessels: Sequence[tuple[float, float]]) -> list[float]:
@@ -105,33 +103,24 @@ def divide(
         rules: of namespaces.
     """
     rules = rules or {}
-    left = math.inf if capacity is None else float(capacity)
-    room: dict[str, float] = {}
-    sweeps: dict[str, float] = {}
-    namespaces: dict[tuple[int, str], float] = {}
-    levels: dict[int, dict[str, list[Contender]]] = {}
+    spaces: dict[str, list[Contender]] = {}
     for one in contenders:
-        levels.setdefault(one.priority, {}).setdefault(one.namespace, []).append(one)
-    for level in sorted(levels, reverse=True):
-        vessels = []
-        for space, inside in levels[level].items():
-            rule = rules.get(space, _NO_RULE)
-            room.setdefault(space, math.inf if rule.slots is None else float(rule.slots))
-            demand = min(room[space], sum(one.demand for one in inside))
-            vessels.append((rule.weight or max(one.weight for one in inside), demand))
-        # An endless amount has no share: nobody gets more than all ask for.
-        amount = min(left, sum(demand for _, demand in vessels))
-        for (space, inside), part in zip(levels[level].items(), fill(amount, vessels), strict=True):
-            namespaces[level, space] = part
-            room[space] -= part
-            left -= part
-            parts = fill(part, [(one.weight, one.demand) for one in inside])
-            sweeps |= {one.name: fair for one, fair in zip(inside, parts, strict=True)}
+        spaces.setdefault(one.namespace, []).append(one)
+    vessels = []
+    for space, inside in spaces.items():
+        rule = rules.get(space, _NO_RULE)
+        demand = sum(one.demand for one in inside)
+        most = demand if rule.slots is None else min(rule.slots, demand)
+        vessels.append((rule.weight or max(one.weight for one in inside), most))
+    # An endless amount has no share: nobody gets more than all ask for.
+    amount = sum(demand for _, demand in vessels)
+    parts = fill(amount if capacity is None else min(capacity, amount), vessels)
+    namespaces = dict(zip(spaces, parts, strict=True))
+    sweeps: dict[str, float] = {}
+    for space, inside in spaces.items():
+        fairs = fill(namespaces[space], [(one.weight, one.demand) for one in inside])
+        sweeps |= {one.name: fair for one, fair in zip(inside, fairs, strict=True)}
     return Division(sweeps, namespaces)
-
-
-Place = str | tuple[int, str]
-"""A Sweep by its name, or a namespace among those of its priority."""
 
 
 @dataclass
@@ -139,11 +128,13 @@ class SlotTurns:
     """Account of the slots that contenders were short of, so that those who share one take turns.
 
     Attributes:
-        owed: slot-seconds that a Sweep (by name) or a namespace (by priority and name) is behind its fair
-            number, as far as whole slots are the reason.
+        sweeps: slot-seconds that a Sweep, by its name, is behind its fair number, as far as whole slots are
+            the reason.
+        namespaces: the same of namespaces.
     """
 
-    owed: dict[Place, float] = field(default_factory=dict)
+    sweeps: dict[str, float] = field(default_factory=dict)
+    namespaces: dict[str, float] = field(default_factory=dict)
 
     def pass_by(self, seconds: float, contenders: Sequence[Contender], division: Division) -> None:
         """Let time pass, in which contenders held what they hold.
@@ -153,17 +144,9 @@ class SlotTurns:
             contenders: all of them; others are forgotten.
             division: their fair numbers.
         """
-        held: dict[Place, int] = {}
-        for one in contenders:
-            held[one.name] = one.held
-            place = (one.priority, one.namespace)
-            held[place] = held.get(place, 0) + one.held
-        fairs: dict[Place, float] = {}
-        fairs.update(division.sweeps.items())
-        fairs.update(division.namespaces.items())
-        self.owed = {
-            key: self.owed.get(key, 0.0) + seconds * _short(fairs[key], count) for key, count in held.items()
-        }
+        held = {one.name: one.held for one in contenders}
+        self.sweeps = _owed(self.sweeps, seconds, held, division.sweeps)
+        self.namespaces = _owed(self.namespaces, seconds, _by_namespace(contenders), division.namespaces)
 
     def next(
         self,
@@ -184,13 +167,7 @@ class SlotTurns:
         free = sum(one.asks for one in there)
         if capacity is not None:
             free = min(free, max(0, capacity - sum(one.held for one in contenders)))
-        held = {one.name: one.held for one in contenders}
-        spaces: dict[str, int] = {}
-        places: dict[tuple[int, str], int] = {}
-        for one in contenders:
-            spaces[one.namespace] = spaces.get(one.namespace, 0) + one.held
-            place = (one.priority, one.namespace)
-            places[place] = places.get(place, 0) + one.held
+        held, spaces = {one.name: one.held for one in contenders}, _by_namespace(contenders)
         most = {space: rule.slots for space, rule in (rules or {}).items() if rule.slots is not None}
         order: list[str] = []
         while len(order) < free:
@@ -202,36 +179,51 @@ class SlotTurns:
             ]
             if not there:
                 break
-            level = max(one.priority for one in there)
-            above = [one for one in there if one.priority == level]
             oldest: dict[str, float] = {}
-            for one in above:
+            for one in there:
                 oldest[one.namespace] = min(one.since, oldest.get(one.namespace, one.since))
             space = min(
                 oldest,
                 key=lambda one: (
-                    *self._rank((level, one), division.namespaces[level, one], places[level, one]),
+                    *_rank(division.namespaces[one], spaces[one], self.namespaces.get(one, 0.0)),
                     *(oldest[one], one),
                 ),
             )
             chosen = min(
-                (one for one in above if one.namespace == space),
+                (one for one in there if one.namespace == space),
                 key=lambda one: (
-                    *self._rank(one.name, division.sweeps[one.name], held[one.name]),
+                    *_rank(division.sweeps[one.name], held[one.name], self.sweeps.get(one.name, 0.0)),
                     *(one.since, one.name),
                 ),
             )
             order.append(chosen.name)
             held[chosen.name] += 1
             spaces[space] += 1
-            places[level, space] += 1
         return order
 
-    def _rank(self, key: str | tuple[int, str], fair: float, held: int) -> tuple[int, float]:
-        """Return the rank of one that asks for a slot: the smallest is served first."""
-        if held + 1 <= fair + _NEARLY:
-            return 0, held / fair
-        return (1 if held + _NEARLY < fair else 2), -self.owed.get(key, 0.0)
+
+def _rank(fair: float, held: int, owed: float) -> tuple[int, float]:
+    """Return the rank of one that asks for a slot: the smallest is served first."""
+    if held + 1 <= fair + _NEARLY:
+        return 0, held / fair
+    return (1 if held + _NEARLY < fair else 2), -owed
+
+
+def _by_namespace(contenders: Iterable[Contender]) -> dict[str, int]:
+    """Return the slots that the Sweeps of each namespace hold."""
+    held: dict[str, int] = {}
+    for one in contenders:
+        held[one.namespace] = held.get(one.namespace, 0) + one.held
+    return held
+
+
+def _owed(
+    before: Mapping[str, float], seconds: float, held: Mapping[str, int], fairs: Mapping[str, float]
+) -> dict[str, float]:
+    """Return the slot-seconds that each is behind after some more seconds."""
+    return {
+        name: before.get(name, 0.0) + seconds * _short(fairs[name], count) for name, count in held.items()
+    }
 
 
 def _short(fair: float, held: int) -> float:

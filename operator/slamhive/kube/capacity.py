@@ -208,11 +208,13 @@ class FeltRoom:
 
     Attributes:
         first: the number that it begins with.
+        waiting: pods that may wait for a node where there is no room.
         limit: runs in flight at most, those not counted that wait for a node.
         ceiling: runs in flight when the cluster was last found full; endless before that.
     """
 
     first: int
+    waiting: int = 1
     limit: int = field(init=False)
     ceiling: float = math.inf
 
@@ -224,7 +226,19 @@ class FeltRoom:
         """Tell whether there was no room for more when it was last felt for."""
         return math.isfinite(self.ceiling) and self.limit <= self.ceiling + 1
 
-    def note(self, placed: int, refused: int, used: int, held: int, *, is_drained: bool = False) -> None:
+    def slots(self, waits: int, undecided: int) -> int:
+        """Return the number of runs that may be in flight, with those that wait for a node.
+
+        Args:
+            waits: pods that wait for a node.
+            undecided: runs of which nobody knows yet whether there is a node for them.
+        """
+        if not math.isfinite(self.ceiling):
+            return self.limit
+        # Where none waits one is tried, so that room which others leave is found while runs come and go.
+        return self.limit + waits + max(int(not waits), self.waiting - waits - undecided)
+
+    def note(self, placed: int, refused: int, used: int, held: int) -> None:
         """Note what has become of runs.
 
         Args:
@@ -232,13 +246,12 @@ class FeltRoom:
             refused: pods that were found to have none.
             used: slots that were held since the last time.
             held: slots that are held now: runs in flight, without those that wait for a node.
-            is_drained: whether the last pod that waited has found a node.
         """
         if refused:
             self.ceiling = held
             self.limit = max(1, held)
         elif self.limit < self.ceiling:
-            grown = min(self.limit + 2 * placed, self.ceiling + 1, max(self.first, 2 * used))
+            grown = min(self.limit + 2 * placed, self.ceiling, max(self.first, 2 * used))
             self.limit = max(self.limit, int(grown))
-        elif (placed or is_drained) and max(used, held) >= self.limit:
-            self.limit += 1  # one more is tried, so that of pods that nothing has room for there is one or so
+        else:
+            self.limit = max(self.limit, held)  # some of those that may wait have found a node

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from slamhive.archive.known import known_trials
 from slamhive.engine import (
@@ -42,6 +42,7 @@ from slamhive.kube.reconciling.sweep_picture import (
     leaving_pods,
     own_runs,
     owned_runs,
+    pods_at_work,
 )
 from slamhive.kube.reconciling.sweep_recording import SweepRecorder, tell_archive
 from slamhive.kube.reconciling.sweep_runs import (
@@ -67,6 +68,8 @@ from slamhive.model.sweep import CachePolicy, Sweep
 from slamhive.sampling import Sampler
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from slamhive.archive import Archive
     from slamhive.kube.cluster import Cluster
     from slamhive.kube.reconciling.catalogue import Catalogue
@@ -301,7 +304,8 @@ class SweepReconciler:
         """Start or stop what is due, write what changed, and archive what is done."""
         memory, sweep = seen.memory, seen.sweep
         _note_start(seen, now)
-        leaving = leaving_pods(cluster, seen)
+        pods = pods_at_work(cluster, seen)
+        leaving = leaving_pods(seen, pods)
         window = sweep.spec.parallelism or cluster.settings.default_parallelism
         room = max(0, window - len(leaving))
         decision = decide_now(seen, room, now)
@@ -319,11 +323,11 @@ class SweepReconciler:
                     due = () if unmade else indices
                 case StopPoints(indices):
                     await self._cancel(cluster, [seen.runs[index] for index in indices if index in seen.runs])
-        look = SweepLook(seen.key, sweep, memory, seen.runs, len(leaving), window, len(due))
+        look = SweepLook(seen.key, sweep, memory, seen.runs, pods, len(leaving), window, len(due))
         turn = await self._sharing.turn(cluster, look, now)
         memory.share = turn.share
         if turn.starts:
-            unmade = await self._start(cluster, seen, due[: turn.starts], now)
+            unmade = await self._start(cluster, seen, due[: turn.starts], leaving, now)
             begun = [seen.runs[index] for index in due[: turn.starts] if index in seen.runs]
             self._sharing.begun(seen.body["metadata"]["uid"], begun, now)
         if unmade:
@@ -412,14 +416,19 @@ class SweepReconciler:
         return f"{ended} runs that have ended, {kept} of them to keep, wait to be measured and archived"
 
     async def _start(
-        self, cluster: Cluster, seen: SweepPicture, indices: tuple[int, ...], now: float
+        self,
+        cluster: Cluster,
+        seen: SweepPicture,
+        indices: tuple[int, ...],
+        leaving: list[Mapping[str, Any]],
+        now: float,
     ) -> str | None:
         """Create the runs of points; returns why some could not be."""
         if self._archive is not None:
             await _insist_on_newest(cluster, seen)
         if seen.memory.started_at is None:
             seen.memory.started_at = now
-        used = slots_used([*seen.runs.values(), *leaving_pods(cluster, seen)])
+        used = slots_used([*seen.runs.values(), *leaving])
         limit = asyncio.Semaphore(_AT_ONCE)
         retained = sum(not is_archive_only(run) for run in seen.runs.values())
         room = seen.sweep.spec.retention.runs - retained if self._archive is not None else len(indices)

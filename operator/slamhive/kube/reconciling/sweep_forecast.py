@@ -22,6 +22,8 @@ RunKind = tuple[str, str]
 
 _SAMPLED = 400
 """Points of a Sweep of which it is looked up what kind they are: a share of so many is known within 5 %."""
+_RECENT = 100
+"""Runs of a kind whose times count: a cluster has others to serve now than hours ago."""
 _JUST_MADE_SECONDS = 5.0
 _LEAST_LEFT = 0.1
 _MINUTE, _HOUR, _DAY = 60.0, 3600.0, 86_400.0
@@ -57,13 +59,16 @@ class RunTimes:
 
     Attributes:
         flying: runs in flight by UID.
-        sums: number and s of those that ended, by kind; of equal results the first alone.
+        sums: number and s of those that ended, by kind; of equal results the first alone. Earlier ones count
+            the less, the more have ended since.
+        ended: number of its own runs that the times are of.
         archived: the same of runs of other Sweeps, as the archive has them.
         kinds: kinds of some of its points by index, all of them if it has few.
     """
 
     flying: dict[str, Flight] = field(default_factory=dict)
-    sums: dict[RunKind, tuple[int, float]] = field(default_factory=dict)
+    sums: dict[RunKind, tuple[float, float]] = field(default_factory=dict)
+    ended: int = 0
     archived: dict[RunKind, tuple[int, float]] = field(default_factory=dict)
     kinds: dict[int, RunKind] = field(default_factory=dict)
 
@@ -105,13 +110,10 @@ class RunTimes:
                 self._add(kind_of(run), max(0.0, end - made))
 
     def _add(self, kind: RunKind, seconds: float) -> None:
-        count, total = self.sums.get(kind, (0, 0.0))
-        self.sums[kind] = count + 1, total + seconds
-
-    @property
-    def ended(self) -> int:
-        """Return the number of its own runs that the times are of."""
-        return sum(count for count, _ in self.sums.values())
+        count, total = self.sums.get(kind, (0.0, 0.0))
+        kept = min(1.0, (_RECENT - 1) / count) if count else 1.0
+        self.sums[kind] = kept * count + 1, kept * total + seconds
+        self.ended += 1
 
     def sample(self, memory: SweepMemory) -> None:
         """Look up the kinds of some points, evenly over all of them; once."""

@@ -92,12 +92,20 @@ def is_outdated(seen: SweepPicture) -> bool:
     )
 
 
-def leaving_pods(cluster: Cluster, seen: SweepPicture) -> list[Mapping[str, Any]]:
+def pods_at_work(cluster: Cluster, seen: SweepPicture) -> dict[str, list[Mapping[str, Any]]]:
+    """Return the pods of its runs that are at work, by the run's label."""
+    pods = cluster.store.select(Kind.POD, seen.key.namespace, Label.SWEEP, label_value(seen.key.name))
+    found: dict[str, list[Mapping[str, Any]]] = {}
+    for pod in live_pods(pods):
+        found.setdefault(labels_of(pod).get(Label.RUN, ""), []).append(pod)
+    return found
+
+
+def leaving_pods(seen: SweepPicture, pods: Mapping[str, list[Mapping[str, Any]]]) -> list[Mapping[str, Any]]:
     """Return the pods at work whose runs were deleted or are over: a slot is free when its pod has ended."""
     going = (run for run in seen.runs.values() if state_of(run) is PointState.ACTIVE)
     active = {label_value(run["metadata"]["name"]) for run in going}
-    pods = cluster.store.select(Kind.POD, seen.key.namespace, Label.SWEEP, label_value(seen.key.name))
-    return [pod for pod in live_pods(pods) if labels_of(pod).get(Label.RUN) not in active]
+    return [pod for name, some in pods.items() if name not in active for pod in some]
 
 
 def decide_now(seen: SweepPicture, room: int, now: float) -> SweepDecision:

@@ -22,12 +22,11 @@ from slamhive.engine import (
     divide,
     foresee,
 )
-from slamhive.kube.api.kinds import Key, Kind, Label, labels_of
+from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.builders.common import label_value
 from slamhive.kube.builders.run import least_requests
 from slamhive.kube.capacity import Bound, FeltRoom, SeenRoom
 from slamhive.kube.pods import condition as condition_of
-from slamhive.kube.pods import live_pods
 from slamhive.kube.reconciling.archiving import ArchiveAway, in_thread
 from slamhive.kube.reconciling.sweep_budgets import CpuBudgets
 from slamhive.kube.reconciling.sweep_forecast import RunTimes, ToldTime
@@ -35,7 +34,7 @@ from slamhive.kube.reconciling.sweep_shares import ShareFacts, share_of
 from slamhive.kube.status import moment
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from slamhive.archive import Archive
     from slamhive.kube.api.kinds import Object
@@ -59,7 +58,8 @@ class SweepLook:
         sweep: the Sweep.
         memory: its points.
         runs: its live runs, by point.
-        leaving: pods at work whose runs are over.
+        pods: pods at work by the label of their run.
+        leaving: how many of them have runs that are over.
         window: runs that it may have in flight by itself.
         asks: runs that it would start now.
     """
@@ -68,6 +68,7 @@ class SweepLook:
     sweep: Sweep
     memory: SweepMemory
     runs: Mapping[int, Object]
+    pods: Mapping[str, Sequence[Mapping[str, Any]]]
     leaving: int
     window: int
     asks: int
@@ -166,7 +167,7 @@ class SlotSharing:
         """Return the number of runs that a Sweep may start now; these count as held until its next look."""
         self._begin(cluster, now)
         uid, namespace = look.sweep.metadata.uid or "", look.key.namespace
-        account = self._take_note(cluster, look, now)
+        account = self._take_note(look, now)
         if not look.asks and not account.contender.held and not account.waiting:
             self.leave(cluster, uid)
             return SlotGrant(0)
@@ -211,7 +212,7 @@ class SlotSharing:
         if self._has_begun:
             return
         self._has_begun, self._passed = True, now
-        self._felt = FeltRoom(cluster.settings.default_parallelism)
+        self._felt = FeltRoom(cluster.settings.default_parallelism, cluster.settings.sharing.waiting_pods)
         for namespace in cluster.settings.namespaces:
             for body in cluster.store.of(Kind.SWEEP, namespace):
                 spec, status, meta = body["spec"], body["status"], body["metadata"]
@@ -229,7 +230,7 @@ class SlotSharing:
                 self._accounts[meta["uid"]] = _ShareAccount(key, contender, window=window)
                 self._felt.limit += held  # they found room before
 
-    def _take_note(self, cluster: Cluster, look: SweepLook, now: float) -> _ShareAccount:
+    def _take_note(self, look: SweepLook, now: float) -> _ShareAccount:
         """Take note of a Sweep's runs: which hold slots, which wait for room, which have ended."""
         meta = look.sweep.metadata
         uid = meta.uid or ""
@@ -241,13 +242,12 @@ class SlotSharing:
             account.times.sample(look.memory)
             account.times.learn(one.run for one in look.memory.finished.values())
         active = look.active
-        waiting, placed = self._standing(cluster, look, active, account, now)
+        waiting, placed = _standing(look, active, account.waiting, now)
         reused = {one.run["metadata"]["uid"] for one in look.memory.finished.values() if one.reused}
         flights = {label_value(one.name): one.began for one in account.times.flying.values()}
         ended = {label_value(one.name) for one in account.times.look(active, reused, now)}
         # Who has ended had a node too, if only for a moment, but for those that were cancelled meanwhile.
         found = (placed | (ended - account.waiting.keys())) - account.placed
-        drained = not waiting and bool(found & account.waiting.keys())
         refused = waiting.keys() - account.waiting.keys()
         account.overtaken = account.overtaken if waiting else 0
         self._overtake(uid, [flights.get(name, now) for name in found])
@@ -262,26 +262,8 @@ class SlotSharing:
         )
         if self._felt is not None:
             at_once = len(found - before)
-            self._felt.note(at_once, len(refused), used, self._held(), is_drained=drained)
+            self._felt.note(at_once, len(refused), used, self._held())
         return account
-
-    def _standing(
-        self, cluster: Cluster, look: SweepLook, active: list[Object], account: _ShareAccount, now: float
-    ) -> tuple[dict[str, float], set[str]]:
-        """Return the names of runs that wait for room, with since when, and of those that have a node."""
-        pods = live_pods(
-            cluster.store.select(Kind.POD, look.key.namespace, Label.SWEEP, label_value(look.key.name))
-        )
-        of_run = {labels_of(pod).get(Label.RUN, ""): pod for pod in pods}
-        waiting, placed = {}, set()
-        for run in active:
-            name = label_value(run["metadata"]["name"])
-            pod = of_run.get(name)
-            if pod is not None and pod["spec"].get("nodeName"):
-                placed.add(name)
-            elif _lacks_room(run, pod):
-                waiting[name] = account.waiting.get(name, now)
-        return waiting, placed
 
     def _overtake(self, uid: str, made: list[float]) -> None:
         """Count for others' pods that wait how many, made later, have found a node now."""
@@ -323,11 +305,13 @@ class SlotSharing:
                 cluster.queue.add(other.key)
         self._call_for_news(cluster, uid)
         account = self._accounts.get(uid or "")
-        if account is None or account.waiting:
-            return 0  # its pods that wait have the next slots
-        contender = account.contender
-        starts = min(given.get(contender.name, 0), contender.asks)
-        if not starts and contender.asks and contender.held < self._division.sweeps[contender.name]:
+        if account is None:
+            return 0
+        contender, waiting = account.contender, len(account.waiting)
+        # Its pods that wait have the next slots.
+        starts = min(max(0, given.get(contender.name, 0) - waiting), contender.asks)
+        is_behind = contender.held < self._division.sweeps[contender.name]
+        if not starts and not waiting and contender.asks and is_behind:
             # Slots may be kept for pods of others that can never have them: one of its own finds that out.
             starts = int(any(self._accounts[name].waiting for name in given) and self._may_probe(cluster))
         account.contender = replace(contender, held=contender.held + starts, asks=contender.asks - starts)
@@ -373,10 +357,12 @@ class SlotSharing:
 
     def _capacity(self, cluster: Cluster) -> int | None:
         """Return the slots that there are, without those of runs that wait for a node."""
-        room = self._felt.limit if self._felt is not None else None
+        waits = sum(len(account.waiting) for account in self._accounts.values())
+        placed = sum(len(account.placed) for account in self._accounts.values())
+        room = self._felt.slots(waits, max(0, self._held() - placed)) if self._felt is not None else None
         slots = cluster.settings.sharing.slots
         if slots is not None:
-            slots = max(0, slots - sum(len(account.waiting) for account in self._accounts.values()))
+            slots = max(0, slots - waits)
         return min((one for one in (room, slots) if one is not None), default=None)
 
     async def _tell(
@@ -463,6 +449,21 @@ def _pending(look: SweepLook) -> int:
     if look.memory.search is not None:
         return look.asks
     return look.memory.states.count(PointState.PENDING)
+
+
+def _standing(
+    look: SweepLook, active: Iterable[Object], waited: Mapping[str, float], now: float
+) -> tuple[dict[str, float], set[str]]:
+    """Return the names of runs that wait for room, with since when, and of those that have a node."""
+    waiting, placed = {}, set()
+    for run in active:
+        name = label_value(run["metadata"]["name"])
+        pod = next(reversed(look.pods.get(name, ())), None)
+        if pod is not None and pod["spec"].get("nodeName"):
+            placed.add(name)
+        elif _lacks_room(run, pod):
+            waiting[name] = waited.get(name, now)
+    return waiting, placed
 
 
 def _lacks_room(run: Object, pod: Mapping[str, Any] | None) -> bool:
