@@ -39,7 +39,7 @@ async def test_a_run_gets_its_figures_in_few_writes(lab: Lab) -> None:
 
 
 async def test_a_run_whose_pod_is_being_made_is_taken_notice_of(make_fake_lab: Callable[..., Lab]) -> None:
-    """As images take minutes to come; the runs of a Sweep are spared that write."""
+    """Runs of a Sweep are spared that write; images take minutes to come."""
     coming = {"waiting": {"reason": "ContainerCreating"}}
     lab = make_fake_lab(ends={"run": Moment("Pending", coming, coming)})
     async with lab.operator() as op:
