@@ -44,6 +44,14 @@ async def test_status_shows_all_that_there_is(lab: Lab, desk: Desk) -> None:
     assert said.out.count("study-") == 0  # a sweep's runs are not listed one by one
 
 
+async def test_status_of_a_run_beyond_the_retention_names_the_archive(lab: Lab, desk: Desk) -> None:
+    lab.apply(sweep())
+    said = await desk.types("status", "study-qql0vsjwnqzx")
+    assert said.code == 2
+    assert "the archive alone: slamhive results show" in said.text
+    assert "the archive" not in (await desk.types("status", "unheard")).text
+
+
 async def test_status_of_a_sweep_tells_why_runs_failed(make_lab: Callable[..., Lab], desk: Desk) -> None:
     lab = make_lab(exit_code=3)
     async with lab.operator() as op:

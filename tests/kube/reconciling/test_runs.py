@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import TYPE_CHECKING
 
 import pytest
-from testcluster.kwok import run_message
-from testcluster.lab import algorithm, condition_of, dataset, manifest, run, status_of, until
+from testcluster.kwok import Moment, run_message
+from testcluster.lab import algorithm, condition_of, dataset, manifest, run, status_of, sweep, until
 
 from slamhive.kube.api.kinds import Key, Kind
+from slamhive.kube.user.queries import troubles
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,6 +36,19 @@ async def test_a_run_gets_its_figures_in_few_writes(lab: Lab) -> None:
     assert len(status["provenance"]["contentHash"]) == 64
     own = [call for call in lab.calls if call[1].startswith("mappingruns")]
     assert len(own) <= 3
+
+
+async def test_a_run_whose_pod_is_being_made_is_taken_notice_of(make_fake_lab: Callable[..., Lab]) -> None:
+    """Runs of a Sweep are spared that write; images take minutes to come."""
+    coming = {"waiting": {"reason": "ContainerCreating"}}
+    lab = make_fake_lab(ends={"run": Moment("Pending", coming, coming)})
+    async with lab.operator() as op:
+        lab.apply(run(), sweep(sizes=1))
+        status = await status_of(op, Kind.MAPPING_RUN, "one", lambda found: found.get("phase") == "Pending")
+        await until(lambda: len(lab.cluster.of("pod", "lab")) >= 3, "the pods of both and a preparation's")
+        (other,) = [one for one in lab.cluster.of("mappingrun", "lab") if one["metadata"]["name"] != "one"]
+    assert condition_of(status, "Accepted")["status"] == "True"
+    assert troubles(Kind.MAPPING_RUN, other, inf) == []
 
 
 @pytest.mark.parametrize(

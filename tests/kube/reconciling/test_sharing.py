@@ -113,6 +113,7 @@ async def test_an_edit_of_the_weight_takes_effect(make_fake_lab: Callable[..., L
         )
         assert waiting["place"] == 1
         assert "or the end of" not in waiting["sooner"]  # nothing is known of how long the first one takes
+        assert "spec.weight" not in waiting["sooner"]  # a larger one than 1000 is refused
         await end_some(lab, op, "lab", "first", 3)
         await until(lambda: in_flight(op, "lab", "second") == 3, "it to get what becomes free")
         lab.patch("sweep", "second", {"spec": {"weight": 1}})

@@ -32,7 +32,7 @@ from slamhive.kube.user.queries import (
     troubles,
 )
 from slamhive.model.base import plural
-from slamhive.model.errors import SlamHiveError, UnknownNameError
+from slamhive.model.errors import InputError, SlamHiveError
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Mapping, Sequence
@@ -366,8 +366,8 @@ async def _next(
     await asyncio.sleep(LOOK_SECONDS)
     try:
         return await _look(cluster, names, before)
-    except UnknownNameError:
-        raise SlamHiveError("what is watched was deleted meanwhile") from None
+    except InputError as error:
+        raise SlamHiveError(f"what is watched is gone meanwhile: {error}") from None
     except ApiError as error:
         if not error.retryable:
             raise

@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import AttemptState, RunObserved, RunState, decide_run
-from slamhive.kube.api.kinds import Key, Kind, key_of
+from slamhive.kube.api.kinds import Key, Kind, Label, key_of, labels_of
 from slamhive.kube.observing import DISRUPTED, TERMINATING
 from slamhive.kube.pods import condition as condition_of
 from slamhive.kube.reconciling.run_status import (
@@ -84,8 +84,8 @@ class RunRecorder:
         """
         attempted = facts.attempted
         begins = state.phase is Phase.RUNNING and attempted.started is None
-        if begins and attempted.waiting is None:
-            return  # the Job says that it was created
+        if begins and attempted.waiting is None and Label.SWEEP in labels_of(facts.body):
+            return  # the Job says that it was created, and the Sweep that somebody is at work
         status = state_fields(state) | MappingRunStatus(variant=facts.wanted.name)
         fresh = [condition("Accepted", True, "Accepted"), *_scheduling(facts, state)]
         taken = facts.disruptions

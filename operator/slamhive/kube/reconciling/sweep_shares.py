@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from slamhive.engine import SlotOutlook
 from slamhive.model.status import SweepShare
+from slamhive.model.sweep import MOST_WEIGHT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -217,18 +218,20 @@ def _by_sharing(facts: ShareFacts, larger: str) -> str:
     """Return the changes that would make a Sweep sooner that shares slots with others."""
     if not facts.others:
         return larger
-    weights = f"a larger spec.weight (now {facts.weight})"
+    ways = [larger]
+    if facts.weight < MOST_WEIGHT:
+        ways.insert(0, f"a larger spec.weight (now {facts.weight})")
     ends = [
         (outlook.end, one)
         for one in facts.others
         if (outlook := facts.outlooks.get(one.name, SlotOutlook())).end is not None
     ]
     if not ends:
-        return f"{weights}, or {larger}"
+        return ", or ".join(ways)
     first = min(ends, key=lambda pair: pair[0] or 0.0)[1]
     own = first.namespace == facts.namespace and first.name in facts.names
     whose = f"Sweep {facts.names[first.name].name}" if own else "a Sweep of another namespace"
-    return f"{weights}, {larger}, or the end of {whose}, which is the next to end"
+    return f"{', '.join(ways)}, or the end of {whose}, which is the next to end"
 
 
 def _counted(facts: ShareFacts) -> str:

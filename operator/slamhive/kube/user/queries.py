@@ -15,7 +15,7 @@ from slamhive.kube.api.kinds import Kind, Label, Object
 from slamhive.kube.builders.common import label_value
 from slamhive.kube.status import holds, moment, phase_of
 from slamhive.kube.user.together import together
-from slamhive.model.errors import UnknownNameError
+from slamhive.model.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -27,6 +27,7 @@ SEEN = (Kind.SWEEP, Kind.MAPPING_RUN, Kind.EVALUATION)
 """Kinds that commands take by name, in this order."""
 
 _UNNOTICED_SECONDS = 20.0
+_RETIRED = "a run beyond its Sweep's retention is in the archive alone: slamhive results show NAME"
 _BAD = {
     "Accepted": ("False", "not accepted"),
     "Blocked": ("True", "blocked"),
@@ -98,7 +99,7 @@ async def look_at(
         before: an earlier picture: runs are listed again only where a Sweep has more failures now.
 
     Raises:
-        UnknownNameError: nothing has one of the names.
+        InputError: nothing has one of the names.
     """
     found = await find(cluster, names)
     by_kind: dict[Kind, list[Object]] = {kind: [] for kind in SEEN}
@@ -123,7 +124,7 @@ async def find(
     """Return the objects of some names; one name may be that of several kinds.
 
     Raises:
-        UnknownNameError: nothing has one of the names.
+        InputError: nothing has one of the names.
     """
     found: list[tuple[Kind, Object]] = []
     for name in dict.fromkeys(names):
@@ -133,7 +134,10 @@ async def find(
             lists = await together(cluster.api.list(kind, cluster.namespace) for kind in kinds)
             known = [name_of(body) for items, _ in lists for body in items]
             what = " or ".join(str(kind) for kind in kinds)
-            raise UnknownNameError(what, name, known, f"namespace {cluster.namespace}")
+            error = UnknownNameError(what, name, known, f"namespace {cluster.namespace}")
+            if Kind.MAPPING_RUN in kinds and any(name.startswith(f"{other}-") for other in known):
+                raise InputError(f"{error}; {_RETIRED}")
+            raise error
         found += there
     return found
 
@@ -158,8 +162,10 @@ def troubles(kind: Kind, body: Mapping[str, Any], now: float) -> list[str]:
     status = status_of(body)
     conditions = status.get("conditions") or ()
     age = now - (moment(body["metadata"].get("creationTimestamp")) or now)
-    # An operator takes notice within a second: without one an object waits for ever and says nothing.
-    if not conditions and age > _UNNOTICED_SECONDS:
+    # An operator takes notice within a second: without one an object waits for ever and says nothing. Runs of
+    # a Sweep were made by an operator, and nothing is written of them until their programs run or can't.
+    is_unnoticed = not conditions and Label.SWEEP not in labels_of(body)
+    if is_unnoticed and age > _UNNOTICED_SECONDS:
         return ["no operator has taken notice of it; is one installed for this namespace?"]
     ended = kind is Kind.MAPPING_RUN and phase_of(status).is_finished
     passed = {"Accepted", "Admitted", "Scheduled"} if ended else set()
