@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from slamhive.analysis.searches.seen import runs_seen
 from slamhive.archive import Archive, SweepRecord
 from slamhive.model.results import Outcome, Phase, Reason, Result, RunRecord
+from slamhive.model.search import Search
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -134,8 +136,26 @@ def test_two_namespaces_with_a_sweep_of_one_name_are_told_apart(slamhive: Slamhi
     rows = card(slamhive, tmp_path)
     assert {axis: (row["passes"], row["fails"]) for (_, axis), row in rows.items()} == {
         DROP: (0.6, 0.9),
-        NOISE: (0.4, 0.6),  # where its error exceeds 0.5 m; it lost track before
+        NOISE: (0.2, 0.4),  # where it is lost, though its error exceeds 0.5 m beyond 0.4 alone
     }
+
+
+@pytest.mark.parametrize(
+    ("outcome", "fails"), [(Outcome.DIVERGED, True), (Outcome.LOST, True), (Outcome.PARTIAL, False)]
+)
+def test_a_small_error_of_a_run_that_left_its_way_does_not_pass(
+    slamhive: Slamhive, tmp_path: Path, outcome: Outcome, fails: bool
+) -> None:
+    record = sweep_record("noise", NOISE)
+    search = record.spec["search"] | {"failing": {"metric": "ate.rmse", "above": 50}}
+    run = of_run("noise", "kiss-icp", NOISE, 0.2, 0)
+    run = run.model_copy(update={"results": [run.results[0].replace(outcome=outcome)]})
+    with Archive.open(f"sqlite:///{tmp_path / 'archive.sqlite'}") as archive:
+        archive.put_sweep(record.replace(spec=record.spec | {"search": search}))
+        archive.put_runs([of_run("noise", "kiss-icp", NOISE, 0.0, 0), run])
+    (row,) = card(slamhive, tmp_path).values()
+    assert row["counts"] == f"0: 0/1, 0.2: {int(fails)}/1"
+    assert runs_seen({1: run}, Search.model_validate(search))[1].has_failed is fails
 
 
 @pytest.mark.parametrize(("errors", "status"), [((0.1, 0.2), "no effect seen"), ((0.1, 0.9), "never fails")])

@@ -92,6 +92,11 @@ class Outcome(Choice):
     LOST = "Lost"
     DIVERGED = "Diverged"
 
+    @property
+    def has_lost_track(self) -> bool:
+        """Tell whether the estimate has left the way, however small an error may come out."""
+        return self in {Outcome.LOST, Outcome.DIVERGED}
+
 
 class CpuUsage(Model):
     """CPU time of the algorithm alone."""

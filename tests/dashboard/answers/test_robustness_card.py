@@ -62,7 +62,7 @@ async def test_a_card_is_by_what_was_sought(site: Any) -> None:
     ((cell,),) = [system["cells"] for system in card["systems"]]
     assert (cell["status"], cell["passing"], cell["failing"], cell["falls"]) == ("found", 3, 4, False)
     assert [one["failed"] for one in cell["values"]] == [0, 0, 0, 1, 1, 1]
-    assert "failed are runs with ate.rmse above 0.35, or that lost track" in " ".join(card["notes"])
+    assert "failed are runs with ate.rmse above 0.35, Lost or Diverged" in " ".join(card["notes"])
 
 
 async def test_a_run_that_a_search_chose_says_so(site: Any) -> None:

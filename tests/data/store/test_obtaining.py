@@ -583,6 +583,18 @@ def test_a_bomb_is_refused_before_it_fills_the_disk(tmp_path: Path, monkeypatch:
     assert written <= 10 << 20
 
 
+@pytest.mark.parametrize("packing", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+@pytest.mark.parametrize("wanted", ["s/a", "s/a!b"])
+def test_members_whose_growth_cannot_be_bounded_are_refused(
+    tmp_path: Path, packing: int, wanted: str
+) -> None:
+    with zipfile.ZipFile(tmp_path / "a.zip", "w", packing) as archive:
+        archive.writestr("s/a", b"content")
+    with pytest.raises(DataError, match=r"a.zip: the member 's/a' is a file packed in a rare way"):
+        unpack(tmp_path / "a.zip", [wanted], tmp_path / "out")
+    assert list((tmp_path / "out").iterdir()) == []
+
+
 HEADERS = {
     "of much": (tarfile.PAX_FORMAT, named("a"), {"comment": "x" * 5000}, "its headers take more memory"),
     "of a long name": (tarfile.GNU_FORMAT, named("a" * 4200), {}, "its headers take more memory"),

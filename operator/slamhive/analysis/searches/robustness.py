@@ -232,6 +232,8 @@ def _judged(frame: Frame, wish: RobustnessWish) -> tuple[Mask, Mask]:
         except InputError as error:
             raise InputError(str(error), "failing") from None
         return broken | (measured & failed), broken | measured
+    outcomes = frame.column("outcome").tolist()
+    lost = np.array([one is not None and Outcome(one).has_lost_track for one in outcomes], dtype=bool)
     sweeps = frame.column(_SWEEP).tolist()
     failed = np.zeros(len(frame), dtype=bool)
     for sweep in dict.fromkeys(sweeps):
@@ -239,11 +241,11 @@ def _judged(frame: Frame, wish: RobustnessWish) -> tuple[Mask, Mask]:
         rule = wish.rule(sweep)
         if rule.metric is None:
             bad = [str(one) for one in rule.outcome or [one for one in Outcome if one is not Outcome.TRACKED]]
-            failed |= mine & np.array([one in bad for one in frame.column("outcome").tolist()], dtype=bool)
+            failed |= mine & np.array([one in bad for one in outcomes], dtype=bool)
             continue
         figure = frame.column(rule.metric).floats()
         worse = figure > rule.above if rule.above is not None else figure < (rule.below or 0.0)
-        failed |= mine & (worse | (np.isnan(figure) & ~tracked))
+        failed |= mine & (worse | lost | (np.isnan(figure) & ~tracked))
         measured = measured & (~mine | np.isfinite(figure) | ~tracked)
     return broken | (measured & failed), broken | measured
 
@@ -272,7 +274,7 @@ def _notes(frame: Frame, wish: RobustnessWish, runs: int, common: Mapping[str, A
 def _rule_text(rule: Failing) -> str:
     if rule.metric is not None:
         bound = f"above {rule.above:g}" if rule.above is not None else f"below {rule.below:g}"
-        return f"with {rule.metric} {bound}, or that lost track"
+        return f"with {rule.metric} {bound}, Lost or Diverged"
     if rule.outcome is not None:
         return f"with the outcome {' or '.join(map(str, rule.outcome))}"
     return "that did not track"

@@ -149,10 +149,9 @@ def _seen_for_threshold(search: Search, outcome: Outcome | None, values: Sequenc
     if rule.metric is None:
         bad = rule.outcome or [one for one in Outcome if one is not Outcome.TRACKED]
         return RunSeen() if outcome is None else RunSeen(has_failed=outcome in bad, values=())
-    value = values[0]
-    if value is None:  # a lost run has no error
-        lost = outcome is not None and outcome is not Outcome.TRACKED
-        return RunSeen(has_failed=lost)
+    value, lost = values[0], outcome is not None and outcome.has_lost_track
+    if value is None:  # a lost run may have no error
+        return RunSeen(has_failed=lost or outcome is Outcome.PARTIAL)
     over = rule.above is not None and value > rule.above
     under = rule.below is not None and value < rule.below
-    return RunSeen(has_failed=over or under, values=(value,))
+    return RunSeen(has_failed=lost or over or under, values=(value,))

@@ -14,6 +14,7 @@ from slamhive.contract.lines import LIMIT_BYTES, printable
 from slamhive.data.files.unpacking import (
     ARCHIVE_DAMAGES,
     DIRECTORY_BYTES,
+    GROWS_BOUNDED,
     DamagedArchiveError,
     MeteredFile,
     checked_name,
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _BLOCK = 1 << 20
-_PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 class BundleFile(ExitStack):
@@ -63,7 +63,7 @@ class BundleFile(ExitStack):
 
     def _require_bounds(self) -> None:
         for name, info in self._members.items():
-            if info.flag_bits & 1 or info.compress_type not in _PACKED:
+            if info.flag_bits & 1 or info.compress_type not in GROWS_BOUNDED:
                 raise DataError(f"{self.title}: {name}: is encrypted or packed in a rare way: refused")
             if info.file_size > LIMIT_BYTES:
                 raise DataError(f"{self.title}: {name}: is larger than {LIMIT_BYTES >> 20} MiB: refused")

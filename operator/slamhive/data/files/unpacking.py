@@ -40,6 +40,11 @@ MOST_RATIO = 200
 FREE_BYTES = 64 << 20
 """Bytes that any archive may grow to."""
 _BLOCK = 1 << 20
+GROWS_BOUNDED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""Packings of a zip's members of which Python unpacks no more at a time than is asked for.
+
+40 bytes of bzip2 may be 45 MB, and are unpacked at once.
+"""
 _HEADER_BYTES = 1 << 20
 """Bytes that all headers of a member of a tar may take together."""
 DIRECTORY_BYTES = 128 << 20
@@ -185,6 +190,8 @@ def _unpack(archive: Path, title: str, wanted: Iterable[Sequence[str]], work: _U
                 if len(seen) <= _SHOWN:
                     seen.setdefault("/".join(PurePosixPath(name).parts[:2]))
                 if name in inner:
+                    if member.kind != "file":
+                        _refuse_kind(member, title)
                     with tempfile.TemporaryDirectory(prefix=".nested-", dir=work.out) as folder:
                         aside = Path(folder) / PurePosixPath(name).name
                         _write(member, title, aside, work)
@@ -275,6 +282,9 @@ def _of_zip(opened: zipfile.ZipFile, info: zipfile.ZipInfo) -> ArchiveMember:
     mode = info.external_attr >> 16
     if info.flag_bits & 1:
         return ArchiveMember(info.filename, "encrypted file", lambda: opened.open(info))
+    if info.compress_type not in GROWS_BOUNDED:
+        rare = "file packed in a rare way, which may grow without bounds (pack it as zip -r or tar do)"
+        return ArchiveMember(info.filename, rare, lambda: opened.open(info))
     if stat.S_ISLNK(mode):
         linked = opened.read(info)[:4096].decode("utf-8", "replace") if info.file_size <= 4096 else "/"
         return ArchiveMember(info.filename, "link", lambda: opened.open(info), linked)
@@ -330,7 +340,11 @@ def _place(member: ArchiveMember, name: str, title: str, work: _Unpacking) -> No
         target.parent.mkdir(parents=True, exist_ok=True)
         _write(member, title, target, work)
     else:
-        raise DataError(f"{title}: the member {name!r} is a {member.kind}: refused")
+        _refuse_kind(member, title)
+
+
+def _refuse_kind(member: ArchiveMember, title: str) -> NoReturn:
+    raise DataError(f"{title}: the member {member.name[:200]!r} is a {member.kind}: refused")
 
 
 def _count(title: str, work: _Unpacking) -> None:
