@@ -188,7 +188,8 @@ class SlotSharing:
 
     def begun(self, uid: str, runs: Iterable[Object], now: float) -> None:
         """Note that runs of a Sweep were begun: they may have ended when it looks again."""
-        self._accounts[uid].times.begin(runs, now)
+        if uid in self._accounts:  # it may have been deleted meanwhile
+            self._accounts[uid].times.begin(runs, now)
 
     def rest(self, uid: str) -> None:
         """Note that a Sweep can start nothing for the time being."""
@@ -296,7 +297,7 @@ class SlotSharing:
             self._division,
         )
         self._passed = now
-        self._division = divide(None if capacity is None else capacity, crowd, rules)
+        self._division = divide(capacity, crowd, rules)
         given = Counter(self._turns.next(capacity, crowd, self._division, rules))
         for name, count in given.items():
             other = self._accounts[name]
@@ -375,6 +376,8 @@ class SlotSharing:
         account.work = account.times.work(look.memory, pending, now)
         capacity, rules = self._capacity(cluster), self._rules(cluster)
         crowd = [self._bounded(one, one.standing(now)) for one in self._accounts.values()]
+        # While the archive was asked, others may have come.
+        division = divide(capacity, crowd, rules)
         told, outlooks = self._outlooks
         if now - told >= cluster.settings.sweep_write_seconds or account.contender.name not in outlooks:
             works = {uid: one.work for uid, one in self._accounts.items()}
@@ -390,12 +393,12 @@ class SlotSharing:
             in_flight=account.contender.held + len(account.waiting),
             waiting=len(account.waiting),
             pending=pending,
-            fair=self._division.sweeps.get(account.contender.name, 0.0),
+            fair=division.sweeps.get(account.contender.name, 0.0),
             crowd=crowd,
             names={uid: one.key for uid, one in self._accounts.items()},
             bounds=account.bounds,
             felt=self._felt.limit if self._felt is not None and self._felt.is_full else None,
-            place=self._place(account, crowd, rules) if look.asks and not blocked else None,
+            place=self._place(account, crowd, rules, division) if look.asks and not blocked else None,
             blocked=blocked,
             is_search=look.memory.search is not None,
             times=account.times,
@@ -419,7 +422,11 @@ class SlotSharing:
         times.take(costs)
 
     def _place(
-        self, account: _ShareAccount, crowd: list[Contender], rules: dict[str, NamespaceRule]
+        self,
+        account: _ShareAccount,
+        crowd: list[Contender],
+        rules: dict[str, NamespaceRule],
+        division: Division,
     ) -> int | None:
         """Return the place of a Sweep in the line for the next free slot; None where it isn't in one."""
         name = account.contender.name
@@ -427,7 +434,7 @@ class SlotSharing:
             return None
         held = sum(one.held for one in crowd)
         without = {space: replace(rule, slots=None) for space, rule in rules.items()}
-        order = self._turns.next(held + 4 * len(crowd), crowd, self._division, without)
+        order = self._turns.next(held + 4 * len(crowd), crowd, division, without)
         line = [*dict.fromkeys(order)]
         return line.index(name) + 1 if name in line else len(line) + 1
 
