@@ -194,7 +194,7 @@ function One({ name, namespace }) {
 function shareFacts(share) {
   const slots = share.of ? ` of ${share.of}` : '';
   return [
-    ['share', share.fair !== undefined && `${share.fair}${slots} runs in flight`],
+    ['fair share', share.fair !== undefined && `${share.fair}${slots} runs at a time`],
     ['place in the line', share.place],
     ['begins', share.begin],
     ['ends', share.end],
