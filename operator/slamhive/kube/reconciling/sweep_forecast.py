@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 from slamhive.engine import PointState, SlotWork
-from slamhive.kube.status import moment
+from slamhive.kube.status import moment, phase_of
+from slamhive.model.results import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -92,6 +93,11 @@ class RunTimes:
         """
         active = list(active)
         self.begin(active, now)
+        for run in active:
+            if phase_of(run.get("status") or {}) is Phase.PREPARING:
+                # All wait for one preparation, which comes once.
+                uid = run["metadata"]["uid"]
+                self.flying[uid] = self.flying[uid]._replace(began=now)
         there = {run["metadata"]["uid"] for run in active}
         ended = {uid: flight for uid, flight in self.flying.items() if uid not in there}
         for uid, flight in ended.items():
