@@ -247,7 +247,7 @@ COLUMNS = {
         "x Succeeded kiss-icp synthetic-lidar Tracked 0.034 m 0.81 212 MiB",
     ),
     "Sweep": (
-        "NAME PHASE DONE IN-FLIGHT FAILED BEST ATE AGE",
+        "NAME PHASE DONE IN-FLIGHT LINE ENDS FAILED BEST ATE AGE",
         "x Running 12/80 4 1 sweep-3f2a 0.034 m",
     ),
 }

@@ -42,8 +42,8 @@ BREAKS = (
     Break(
         "the standard deviation of all there is, not of a sample",
         statistics.Numbers.summaries,
-        "/ (count - 1)",
-        "/ count",
+        "/ (self.counts[several] - 1)",
+        "/ self.counts[several]",
     ),
     Break(
         "of equal content the earliest stays",
