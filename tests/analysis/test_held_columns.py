@@ -56,3 +56,20 @@ def test_texts_of_one_array_are_found_and_others_are_not() -> None:
 @pytest.mark.parametrize("texts", [["a", "b\0"], ["ü", "b"], ["a" * 10_000, "b"]])
 def test_texts_that_do_not_fit_in_an_array_stay_as_they_are(texts: list[str]) -> None:
     assert PackedTexts.of(texts) is None
+
+
+def test_a_few_long_texts_do_not_make_all_others_take_their_room() -> None:
+    long = [f"{k:03d}" + "x" * 3000 for k in range(MANY)]
+    short = [f"run-{k}" for k in range(20 * MANY)]
+    columns = [Column.of(long), Column.of(short)]
+    assert all(isinstance(column.values, PackedTexts) for column in columns)
+    found = Column.concatenate(columns)
+    assert not isinstance(found.values, PackedTexts)
+    assert found.tolist() == long + short
+
+
+def test_long_texts_look_the_same_however_they_are_held() -> None:
+    texts = [f"{k:03d}" + "x" * 300 for k in range(MANY)]
+    many, few = Column.of(texts), Column.of(texts[:5])
+    assert (isinstance(many.values, PackedTexts), isinstance(few.values, PackedTexts)) == (True, False)
+    assert many.marks()[:5].tolist() == few.marks().tolist()

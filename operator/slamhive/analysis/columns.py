@@ -15,7 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.compact.texts import PackedTexts, merged, numbers_of_texts, short
+from slamhive.analysis.compact.texts import (
+    LONG,
+    PackedTexts,
+    fit_together,
+    merged,
+    numbers_of_texts,
+    short,
+)
 from slamhive.model.base import Choice
 
 if TYPE_CHECKING:
@@ -203,8 +210,9 @@ class Column:
         coded = [column for column in columns if not column.kind.is_numeric]
         texts = all(column.kind is ColumnKind.TEXT for column in coded)
         values: Sequence[Any]
-        if all(isinstance(column.values, PackedTexts) for column in coded):
-            values, places_of_all = merged([column.values for column in coded])
+        packed = [column.values for column in coded if isinstance(column.values, PackedTexts)]
+        if len(packed) == len(coded) and fit_together(packed):
+            values, places_of_all = merged(packed)
             ends = np.cumsum([len(column.values) for column in coded])[:-1]
             translations = iter(np.split(places_of_all, ends))
         else:
@@ -270,7 +278,7 @@ class Column:
         if self.kind.is_numeric:
             return self.numbers.view(np.uint64)
         values = self.values
-        if not isinstance(values, PackedTexts):
+        if not isinstance(values, PackedTexts) or values.data.itemsize > LONG:
             texts = [short(str(value).encode("utf-8", "replace")) for value in values]
             values = PackedTexts(np.array(texts, dtype=np.bytes_))
         found: npt.NDArray[np.uint64] = np.append(numbers_of_texts(values.data), _NOTHING)[self._codes]

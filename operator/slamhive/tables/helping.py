@@ -56,7 +56,8 @@ class ReadingHelper:
     """Parts that it is asked for at a time, so that it need not wait for the next."""
 
     def __init__(self, url: str) -> None:
-        command = [sys.executable, "-m", "slamhive.tables.helping"]
+        # -P: a struct.py in the working folder is none of ours.
+        command = [sys.executable, "-P", "-m", "slamhive.tables.helping"]
         pipe = subprocess.PIPE
         self._process = subprocess.Popen(
             command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, bufsize=0

@@ -28,6 +28,12 @@ ANALYSES = (
 )
 
 
+def test_mixtures_are_worded_as_a_site_without_a_server_words_them() -> None:
+    smt = "provenance.machine.smt"
+    [found] = mixtures(Frame({smt: Column.of([True, False, None])}, 3), [])
+    assert "(false, true, unknown)" in found["sentence"]
+
+
 async def test_points_hold_every_run_failed_or_not(api: Any) -> None:
     answer = await api.get("/analysis/points?x=seed&y=ate.rmse&colour=algorithm&facet=parameters.nFeatures")
     axes = answer["axes"]

@@ -10,11 +10,13 @@ import pytest
 from slamhive.archive import Archive, SweepRecord
 from slamhive.archive.connection import connect
 from slamhive.model.results import IntendedEvaluation, Outcome, Phase, Result
+from slamhive.tables.helping import ReadingHelper
 from slamhive.tables.loading import load
 from slamhive.tables.snapshots import Loaded
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from slamhive.analysis.frame import Frame
     from slamhive.model.results import RunRecord
@@ -192,3 +194,14 @@ def test_a_helper_makes_no_difference(
     found = load(connect(assorted))
     assert rows_of(found.frame) == rows_of(whole.frame)
     assert found.marks.same_as(whole.marks)
+
+
+def test_a_helper_takes_no_module_of_the_working_folder(
+    assorted: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "sqlalchemy.py").write_text("raise SystemExit")
+    monkeypatch.chdir(tmp_path)
+    with ReadingHelper(assorted) as helper:
+        helper.ask(0, 1, 2)
+        [(_, batch)] = helper.answers(lambda *_: pytest.fail("it does not answer"), [(1, 2)], 1)
+    assert len(batch.marks) == 2

@@ -23,7 +23,8 @@ FACTOR = 0x9E3779B97F4A7C15
 MARKS = 2**64
 """Number of different marks."""
 
-_LONG = 256
+LONG = 256
+"""Bytes of a text beyond which its mark is that of its hash."""
 _OVERHEAD = 57
 """Bytes that a text takes as an object beside its characters, and its place in a tuple."""
 _AT_ONCE = 4096
@@ -94,6 +95,13 @@ class PackedTexts(Sequence[str]):
         return np.flatnonzero(self.data == str(value).encode()) if is_one else np.empty(0, dtype=np.intp)
 
 
+def fit_together(parts: Sequence[PackedTexts]) -> bool:
+    """Tell whether the texts of several take no more room in one array than as objects."""
+    count = sum(map(len, parts))
+    longest = max((one.data.itemsize for one in parts), default=0)
+    return longest * count <= sum(one.data.nbytes for one in parts) + _OVERHEAD * count
+
+
 def merged(parts: Sequence[PackedTexts]) -> tuple[PackedTexts, npt.NDArray[np.int32]]:
     """Return the different texts of several, in the order of being met first, and the place of each, (n,)."""
     data = np.concatenate([one.data for one in parts])
@@ -111,7 +119,7 @@ def merged(parts: Sequence[PackedTexts]) -> tuple[PackedTexts, npt.NDArray[np.in
 
 def short(text: bytes) -> bytes:
     """Return a text, or the hash of a long one: all of them are laid out as long as the longest."""
-    return text if len(text) <= _LONG else hashlib.sha256(text).digest()
+    return text if len(text) <= LONG else hashlib.sha256(text).digest()
 
 
 def numbers_of_texts(texts: Bytes) -> Numbers:

@@ -282,7 +282,7 @@ class _Course:
         models = {one.processor for one in conditions if one.processor is not None}
         if models and models != {recorded.processor}:
             here = ", ".join(sorted(models))
-            return f"recorded on {recorded.processor or 'an unknown processor'}, this is {here}"
+            return f"recorded on {recorded.processor or 'unlike machines, or unknown ones'}, this is {here}"
         before = LoadConditions.on(recorded.processor, recorded.machine)
         unlike = {words for one in conditions for words in before.differences(one)}
         return f"recorded and measured with {', '.join(sorted(unlike))}" if unlike else None

@@ -33,7 +33,7 @@ from slamhive.dashboard.answers.columns import (
 )
 from slamhive.dashboard.problems import TooLarge
 from slamhive.tables.queries import column, columns, number_column, outcomes, select
-from slamhive.tables.text import as_columns, flat_cells, flat_summary
+from slamhive.tables.text import as_columns, flat_cells, flat_summary, key_text
 from slamhive.tables.timeliness import FACTOR, LATENCIES, WORDS, timeliness
 from slamhive.tables.words import disproportion_notes, meanings
 
@@ -123,7 +123,7 @@ def mixtures(frame: Frame, told: list[str]) -> list[dict[str, Any]]:
         if owner in {*SUBJECT, *told} and follows(rows, name, owner):
             continue
         values = rows.column(name).factorized()[1]
-        shown = ", ".join("unknown" if value is None else str(value) for value in values[:6])
+        shown = ", ".join("unknown" if value is None else key_text(value) for value in values[:6])
         sentence = f"runs of different {name} are mixed here ({shown}): choose one, or tell them apart by it"
         mixed.append({"column": name, "values": values[:100], "sentence": sentence})
     return mixed

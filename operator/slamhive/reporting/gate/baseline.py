@@ -85,7 +85,7 @@ class Baseline(Model):
     """Record of a gate, to compare with.
 
     Attributes:
-        processor: model of the processor that all runs had, None where they had several or none is known.
+        processor: model of the processor of all runs; None where none is known, or machines were unlike.
         machine: what else says how load was measured, the same for all runs.
         recorded: day.
         version: of slamhive.
