@@ -36,7 +36,7 @@ async def test_status_shows_all_that_there_is(lab: Lab, desk: Desk) -> None:
     said = await desk.types("status")
     assert said.code == 0
     line = next(line for line in said.out.splitlines() if line.startswith("study")).split()
-    assert line[:6] == ["study", "Complete", "█" * 16, "3/3", "0", "0"]
+    assert line[:8] == ["study", "Complete", "█" * 16, "3/3", "0", "–", "–", "0"]
     assert "alone" in said.out
     assert "Succeeded" in said.out
     assert "200Mi" in said.out
