@@ -57,7 +57,7 @@ def record_of(
             "uid": meta["uid"],
             "name": meta["name"],
             "sweep": labels.get(Label.SWEEP),
-            "sweepUid": _owner(run),
+            "sweepUid": (sweep_of(run) or {}).get("uid"),
             "namespace": meta.get("namespace"),
             # Labels can be edited by anybody.
             "index": int(point) if point is not None and point.isdecimal() else None,
@@ -109,7 +109,7 @@ def _why_not_measured(run: Mapping[str, Any], status: MappingRunStatus) -> str |
     return f"{NOT_EVALUATED}{found.get('why')}" if isinstance(found, dict) else None
 
 
-def _owner(run: Mapping[str, Any]) -> str | None:
-    """Return the UID of the Sweep that made a run."""
+def sweep_of(run: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the reference to the Sweep that made a run; None where none did."""
     # Not the label: a Sweep that was deleted and made anew has the same name.
-    return next((owner["uid"] for owner in owners_of(run) if owner.get("kind") == Kind.SWEEP), None)
+    return next((owner for owner in owners_of(run) if owner.get("kind") == Kind.SWEEP), None)

@@ -22,7 +22,7 @@ from slamhive.kube.observing import observe_job
 from slamhive.kube.pods import is_deleted
 from slamhive.kube.reconciling import variants
 from slamhive.kube.reconciling.evaluation_groups import EvaluationGroup, GroupMemory, group_of, key_for
-from slamhive.kube.reconciling.evaluation_status import evaluation_status, is_missing, problem_of
+from slamhive.kube.reconciling.evaluation_status import evaluation_status, problem_of
 from slamhive.kube.reconciling.restoring import restore_folders
 from slamhive.kube.reconciling.result_taking import (
     RUNS_ANNOTATION,
@@ -112,14 +112,7 @@ class Evaluations:
     async def _start_missing(
         self, cluster: Cluster, group: EvaluationGroup, busy: set[str], active: int
     ) -> list[float | None]:
-        missing = []
-        for run in group.runs:
-            problem = problem_of(group, run)
-            if problem is not None and group.name is None and not is_settled(run):
-                # Given up by an operator that ended before anybody was told.
-                await give_up(cluster, group, run, problem)
-            elif run["metadata"]["name"] not in busy and is_missing(group, run):
-                missing.append(run)
+        missing = await self._missing(cluster, group, busy)
         if not missing:
             group.memory.forget_folders()
             return []
@@ -140,6 +133,21 @@ class Evaluations:
         for batch in list(batches(restored.ready, wanted.batch_size))[: wanted.parallel_jobs - active]:
             await self._try_to_start(cluster, group, [dict(item) for item in batch])
         return restored.delays
+
+    @staticmethod
+    async def _missing(cluster: Cluster, group: EvaluationGroup, busy: set[str]) -> list[Object]:
+        """Return the runs that are still to be measured and are in no Job."""
+        missing = []
+        for run in group.runs:
+            if group.has_result(run):
+                continue
+            problem = problem_of(group, run)
+            if problem is None and run["metadata"]["name"] not in busy:
+                missing.append(run)
+            elif problem is not None and group.name is None and not is_settled(run):
+                # Given up by an operator that ended before anybody was told.
+                await give_up(cluster, group, run, problem)
+        return missing
 
     @staticmethod
     async def _try_to_start(cluster: Cluster, group: EvaluationGroup, batch: list[Object]) -> None:

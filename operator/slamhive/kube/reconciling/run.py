@@ -27,7 +27,6 @@ from slamhive.kube.api.kinds import (
     key_of,
     labels_of,
     owner_uids,
-    owners_of,
     reference,
 )
 from slamhive.kube.builders import configuration, read_job, run_job
@@ -57,6 +56,7 @@ from slamhive.kube.reconciling.waiting import (
     refused_seconds,
     soonest,
 )
+from slamhive.kube.records import sweep_of
 from slamhive.kube.reports import read_report
 from slamhive.kube.status import condition, moment, phase_of, run_state, since, state_fields
 from slamhive.model.errors import InputError, UnknownNameError
@@ -167,7 +167,7 @@ class RunReconciler:
         known = self._resolved.get(key)
         if known is None or known.uid != uid:
             resolved = resolve({name: spec[name] for name in spec if name != "cancel"}, algorithm, dataset)
-            if not state.attempts and not _is_of_sweep(run):
+            if not state.attempts and sweep_of(run) is None:  # a Sweep's hold what takes effect alone
                 _insist_on_effects(resolved, algorithm, dataset)
             wanted = Wanted.by(resolved, algorithm, dataset)
             known = self._resolved[key] = _Resolved(uid, resolved, spec_hash(resolved), wanted)
@@ -409,11 +409,6 @@ def _seen(
     return observe_lost(state.attempts, was_interrupted=interrupted)
 
 
-def _is_of_sweep(run: dict[str, Any]) -> bool:
-    """Tell whether a Sweep made a run, whose spec holds what takes effect alone."""
-    return any(owner.get("kind") == Kind.SWEEP for owner in owners_of(run))
-
-
 def _insist_on_effects(spec: dict[str, Any], algorithm: Algorithm, dataset: Dataset) -> None:
     """Refuse what a recording can't give.
 
@@ -440,8 +435,8 @@ def _lacks_image(facts: RunFacts) -> tuple[Reason, str] | None:
 
 def _needing(run: dict[str, Any]) -> dict[str, Any]:
     """Return the reference to what needs a run's variant: its Sweep, or itself."""
-    for owner in owners_of(run):
-        if owner.get("kind") == Kind.SWEEP:
-            # Several Sweeps can own one preparation, but an object can have one controller at most.
-            return {key: value for key, value in owner.items() if key != "controller"}
-    return reference(Kind.MAPPING_RUN, run)
+    sweep = sweep_of(run)
+    if sweep is None:
+        return reference(Kind.MAPPING_RUN, run)
+    # Several Sweeps can own one preparation, but an object can have one controller at most.
+    return {key: value for key, value in sweep.items() if key != "controller"}
