@@ -42,13 +42,7 @@ if TYPE_CHECKING:
     from slamhive_eval.formats.writing import write_trajectory
     from slamhive_eval.handeye import HandEye, hand_eye
     from slamhive_eval.measures.consistency import Consistency, measure_consistency
-    from slamhive_eval.measures.health import (
-        Awareness,
-        HealthRule,
-        ToldLoss,
-        evaluate_health,
-        measure_health,
-    )
+    from slamhive_eval.measures.health import Awareness, HealthRule, ToldLoss, evaluate_health, measure_health
     from slamhive_eval.measures.kitti import KittiErrors, kitti_errors
     from slamhive_eval.measures.losses import LocalErrors, LossRule, local_errors
     from slamhive_eval.measures.maps import MapEntropy, MapErrors, compare_maps, mean_map_entropy, thin_out

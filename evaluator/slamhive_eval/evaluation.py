@@ -21,7 +21,6 @@ from slamhive_eval.association import (
     Matching,
     equal_stamps_notes,
     no_overlap,
-    pair_up,
 )
 from slamhive_eval.coverage import Coverage, measure_coverage, no_coverage
 from slamhive_eval.errors import AssociationError, OptionError
@@ -321,14 +320,7 @@ def evaluate(
     problem, clock = "", None
     try:
         estimate, clock = set_clock(reference, estimate, how)
-        pairs, truth, kept = pair_up(
-            reference,
-            estimate,
-            how.matching,
-            max_difference_seconds=how.max_difference_seconds,
-            offset_seconds=how.offset_seconds,
-            max_gap_seconds=how.max_gap_seconds,
-        )
+        pairs, truth, kept = how.pair_up(reference, estimate)
     except AssociationError as error:  # the clock's offset can't be found
         nothing = np.empty(0, dtype=np.intp)
         problem, pairs = str(error), Association(nothing, nothing)

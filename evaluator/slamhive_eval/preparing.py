@@ -13,11 +13,12 @@ import numpy as np
 
 from slamhive_eval import rotation
 from slamhive_eval.alignment import METHODS, Alignment, Method, align
-from slamhive_eval.association import DEFAULT_GAP_SECONDS, MATCHINGS, Matching, match
+from slamhive_eval.association import DEFAULT_GAP_SECONDS, MATCHINGS, Matching, match, pair_up
 from slamhive_eval.errors import OptionError
 from slamhive_eval.trajectory import Trajectory, check_rigid
 
 if TYPE_CHECKING:
+    from slamhive_eval.association import Association
     from slamhive_eval.handeye import HandEye
     from slamhive_eval.robust import Loss
     from slamhive_eval.rotation import FloatArray
@@ -76,6 +77,19 @@ class Preparation:
             raise OptionError("the time offset is either given or found, not both")
         if self.robust is not None and self.first_poses is not None:
             raise OptionError("a robust alignment is by all poses, not by the first ones")
+
+    def pair_up(
+        self, reference: Trajectory, estimate: Trajectory
+    ) -> tuple[Association, Trajectory, Trajectory]:
+        """Return the pairs of a match and the poses of both, as `slamhive_eval.association.pair_up` does."""
+        return pair_up(
+            reference,
+            estimate,
+            self.matching,
+            max_difference_seconds=self.max_difference_seconds,
+            offset_seconds=self.offset_seconds,
+            max_gap_seconds=self.max_gap_seconds,
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -78,9 +78,29 @@ def test_a_single_result_has_no_interval_and_what_rows_are_over_is_said() -> Non
     assert math.isnan(one.ratio_interval.low)
     assert math.isnan(one.rank_interval.low)
     assert (two.ratio_interval.low, two.ratio_interval.high) == pytest.approx((2, 3))
-    told = "Each row is over 2 values of parameters.n: by algorithm, sensors, parameters.n tells them apart."
+    told = (
+        "Rows are over 2 values of parameters.n (two): by algorithm, sensors, parameters.n tells them apart."
+    )
     assert (found.pooled, found.pooling) == ({"parameters.n": 2}, told)
     assert leaderboard(frame_of(rows), by=["algorithm", "parameters.n"]).pooling == ""
+
+
+def test_settings_that_rows_are_over_are_named_of_every_competitor() -> None:
+    swept = {"one": ("a", "b", "c"), "two": ("z",), "three": ()}
+    rows = [
+        make_row(name, "hall", 1.0 + k, **{f"parameters.{one}": k for one in own}, **{"input.frameRate": k})
+        for name, own in swept.items()
+        for k in (1, 2)
+    ]
+    rows.append(make_row("three", "hall", 1.0, **{"parameters.z": 3, "input.frameRate": 1}))
+    rows = [row | {"parameters.z": 3} if row["algorithm"] == "three" else row for row in rows]
+    found = leaderboard(frame_of(rows))
+    order = ["input.frameRate", "parameters.a", "parameters.z", "parameters.b", "parameters.c"]
+    assert list(found.pooled) == order
+    assert found.pooled["parameters.z"] == 2
+    told = ["input.frameRate", "parameters.a (one)", "parameters.z (two)"]
+    words = ", ".join(f"2 values of {one}" for one in told)
+    assert found.pooling.startswith(f"Rows are over {words}, 2 further settings: by algorithm, sensors, inp")
 
 
 def test_a_setting_that_changes_no_trajectory_is_named_with_whom() -> None:

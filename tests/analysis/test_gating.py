@@ -144,3 +144,6 @@ def test_figures_have_short_names_and_margins() -> None:
     for text in ("ate=0", "ate=x", "ate=nan", "coverage=200%", "input.frameRate=10%"):
         with pytest.raises(InputError, match="--margin"):
             parse_figure(text, "--margin")
+    for text, close in (("cpuu=20%", "cpu"), ("ate.rms", "ate.rmse")):
+        with pytest.raises(InputError, match=f"did you mean '{close}'"):
+            parse_figure(text, "--figure")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from slamhive.analysis.columns import Column
+from slamhive.analysis.compact import growing
 from slamhive.analysis.compact.texts import PackedTexts
 
 MANY = 600
@@ -73,3 +74,18 @@ def test_long_texts_look_the_same_however_they_are_held() -> None:
     many, few = Column.of(texts), Column.of(texts[:5])
     assert (isinstance(many.values, PackedTexts), isinstance(few.values, PackedTexts)) == (True, False)
     assert many.marks()[:5].tolist() == few.marks().tolist()
+
+
+@pytest.mark.parametrize(("values", "coded"), HELD)
+def test_a_column_grows_in_its_memory_and_stays_what_it_was(
+    values: list[Any], coded: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(growing, "LARGE", 100)
+    begun = Column.concatenate([Column.of(values[:300]), Column.of(values[300:560])])
+    grown = Column.concatenate([begun, Column.of(values[560:])])
+    other = Column.concatenate([begun, Column.of(values[:40])])
+    for found, wanted in ((begun, values[:560]), (grown, values), (other, values[:560] + values[:40])):
+        assert [repr(one) for one in found.tolist()] == [repr(one) for one in wanted]
+    if not coded:
+        assert np.shares_memory(begun.numbers, grown.numbers)
+        assert not np.shares_memory(begun.numbers, other.numbers)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slamhive.analysis.limits import Limits, is_steep, robust_limits
+from slamhive.analysis.limits import Limits, robust_limits
 
 FORTY = np.linspace(0.008, 0.016, 40)
 
@@ -51,10 +51,3 @@ def test_what_is_no_number_does_not_count() -> None:
     assert robust_limits([-1.0, 0.0], log=True) is None
     assert robust_limits([np.nan, 2.0, -1.0]) == Limits(-1.0, 2.0)
     assert robust_limits([0.0, 2.0, -1.0], log=True) == Limits(2.0, 2.0)
-
-
-def test_steep_ones() -> None:
-    assert is_steep(np.geomspace(0.01, 10, 30))
-    assert not is_steep([*FORTY, 40.0])  # far out: cut, not pressed together
-    assert not is_steep([*FORTY, 0.0])
-    assert not is_steep([])

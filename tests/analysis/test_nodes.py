@@ -131,7 +131,7 @@ def test_runs_of_an_archive_without_nodes_are_told_of() -> None:
     old = [{name: value for name, value in row.items() if name != "provenance.node"} for row in runs({"": 1})]
     assert compared(old).notes == ["of no run both node and CPU time are known"]
     both = [*old, *runs({"n1": 1.0, "n2": 1.0})]
-    assert compared(both).notes == [f"of {len(old)} runs nobody noted the node: they are left out"]
+    assert compared(both).notes == [f"left out: {len(old)} runs of which nobody noted the node"]
     assert not compared([]).nodes
 
 

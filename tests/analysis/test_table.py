@@ -103,6 +103,24 @@ def test_a_disturbed_run_says_nothing_of_load_but_all_else_counts() -> None:
 
 
 @pytest.mark.parametrize(
+    ("wall", "busy", "waited", "alone"),
+    [
+        (10.0, 4.0, None, 10.0),
+        (35.0, 4.0, 30.0, 5.0),
+        (10.0, 10.0, 10.0, 5.0),  # two threads, each of which waited half of the time
+        (20.0, None, 5.0, 15.0),
+        (None, None, None, math.nan),
+    ],
+)
+def test_undisturbed_is_the_wall_time_without_the_wait_for_others(
+    wall: float | None, busy: float | None, waited: float | None, alone: float
+) -> None:
+    given = {"wallSeconds": wall, "cpu.seconds": busy, "contendedSeconds": waited}
+    rows = [row(1.0, **{f"usage.{name}": value for name, value in given.items() if value is not None})]
+    assert frame_of(rows).column("usage.undisturbedSeconds").floats() == pytest.approx([alone], nan_ok=True)
+
+
+@pytest.mark.parametrize(
     ("metric", "changes", "told"),
     [
         ("usage.memory.peakBytes", {}, "31 s late in 2 runs"),

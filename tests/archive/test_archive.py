@@ -19,7 +19,7 @@ from datetime import UTC, datetime, timedelta, timezone
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from sqlalchemy import create_engine, event, exc, text
+from sqlalchemy import create_engine, event, exc, inspect, text
 
 from slamhive.archive import Archive, CatalogEntry, SweepRecord, Totals, schema
 from slamhive.archive.connection import failures, open_engine, parse
@@ -341,6 +341,28 @@ def test_removing_a_run_removes_its_results(
     assert record.results == []
 
 
+def test_digests_tell_what_differs_and_not_when_it_was_written(
+    archive: Archive, make_run: MakeRun, make_result: MakeResult
+) -> None:
+    runs = [
+        make_run("a", results=[make_result()]),
+        make_run("b", results=[make_result(), make_result("sim3")]),
+    ]
+    archive.put_runs(runs)
+    first = archive.digests()
+    archive.put_runs(reversed(runs))
+    assert archive.digests() == first
+    archive.put_result("b", make_result("sim3", rmse=2.0))
+    second = archive.digests()
+    assert second.runs["a"] == first.runs["a"]
+    assert second.runs["b"] != first.runs["b"]
+    archive.put_run(make_run("a", phase=Phase.FAILED))
+    archive.put_sweep(SweepRecord(uid="s", name="s", spec={}))
+    third = archive.digests()
+    assert third.runs["a"] != second.runs["a"]
+    assert (second.rest == first.rest, third.rest == second.rest) == (True, False)
+
+
 def test_opening_again_finds_everything(url: str, make_run: MakeRun) -> None:
     for uid in ("a", "b"):
         with Archive.open(url) as archive:
@@ -520,6 +542,37 @@ def test_a_file_that_is_no_database(tmp_path: Path) -> None:
     file.write_text("not a database, but long enough to be looked at as one" * 20)
     with pytest.raises(InputError, match=r"notes\.txt: the file is not an SQLite database"):
         Archive.open(f"sqlite:///{file}")
+
+
+def test_a_database_of_another_program_is_not_touched(tmp_path: Path) -> None:
+    """MLflow, too, has a table `runs`."""
+    sqlite_url = f"sqlite:///{tmp_path / 'mlflow.db'}"
+    engine = create_engine(sqlite_url)
+    with engine.begin() as connection:
+        connection.execute(text("CREATE TABLE runs (run_uuid TEXT)"))
+    with pytest.raises(InputError, match="another program's table 'runs', which has no id; name another"):
+        Archive.open(sqlite_url)
+    assert inspect(engine).get_table_names() == ["runs"]
+    engine.dispose()
+
+
+def test_a_table_that_is_gone_is_damage(sqlite_url: str) -> None:
+    Archive.open(sqlite_url).close()
+    engine = create_engine(sqlite_url)
+    with engine.begin() as connection:
+        connection.execute(text("DROP TABLE runs"))
+    engine.dispose()
+    with (
+        Archive.open(sqlite_url, read_only=True) as archive,
+        pytest.raises(InputError, match=r"damaged .no such table: runs"),
+    ):
+        list(archive.runs())
+
+
+@pytest.mark.parametrize("read_only", [False, True])
+def test_a_folder_in_the_archives_place_is_no_archive(tmp_path: Path, read_only: bool) -> None:
+    with pytest.raises(InputError, match="is no file; name another"):
+        Archive.open(f"sqlite:///{tmp_path}", read_only=read_only)
 
 
 def test_a_full_disk_is_said_with_what_helps(tmp_path: Path) -> None:

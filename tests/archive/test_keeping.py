@@ -73,7 +73,7 @@ def test_a_sound_archive_is_found_sound(filled: str) -> None:
 @pytest.mark.parametrize(
     ("statement", "said"),
     [
-        ("UPDATE runs SET phase = 'Dancing' WHERE uid = 'u3'", "runs: u3: phase: Input should be"),
+        ("UPDATE runs SET phase = 'Dancing' WHERE uid = 'u3'", "runs: u3: phase: must be"),
         ("UPDATE runs SET spec = '{}' WHERE uid = 'u3'", "column algorithm is 'kiss-icp', where its documen"),
         ("UPDATE results SET outcome = 'x' WHERE run_id = 2", "results: 2 default: 'x' is not a valid Outco"),
         ("UPDATE datasets SET spec = '[1]'", "datasets: hall "),

@@ -48,7 +48,7 @@ _PATHS = (
     "/api/v1/pods?labelSelector=slamhive.io/role%3Drun&fieldSelector=status.phase%3DPending",
     "/apis/slamhive.io/v1alpha1/sweeps",
 )
-_UNITS = {"min": 60.0, "h": 3600.0, "days": 86400.0, "day": 86400.0}
+_UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0, "days": 86400.0, "day": 86400.0}
 
 
 @dataclass

@@ -12,6 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from furnishing import furnish
+from slamhive.bridges.bundles import contents
 from slamhive.cli import running
 from slamhive.cli.sharing import bundles
 
@@ -83,7 +84,12 @@ def rezip(study: Path, tmp_path: Path) -> Callable[..., Path]:
         files |= changes
         if forged:  # as if it had been so when the bundle was made
             told = json.loads(files["study.json"] or b"")
-            told["files"] |= {name: hashlib.sha256(files[name] or b"").hexdigest() for name in changes}
+            changed = changes.keys() - {"study.json"}
+            told["files"] |= {name: hashlib.sha256(files[name] or b"").hexdigest() for name in changed}
+            words, line, _ = (files["README.md"] or b"").partition(contents.STATED.encode())
+            readme = words + (line + contents.study_sha256(told).encode() if line else b"")
+            files["README.md"] = readme
+            told["files"]["README.md"] = hashlib.sha256(readme).hexdigest()
             files["study.json"] = json.dumps(told).encode()
         path = tmp_path / "changed.zip"
         with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -64,6 +64,22 @@ def test_a_study_bundled_twice_gives_the_same_bytes(
     assert "exists already" in err
 
 
+def test_a_dataset_that_stood_beside_its_sweep_is_the_archives(
+    studied: Path, study: Path, tmp_path: Path, run_command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = tmp_path / "home"
+    shutil.copytree(studied, home, symlinks=True)
+    (home / "datasets").unlink()
+    (home / "datasets").mkdir()
+    for made in (studied / "datasets").glob("tiny-*"):
+        (home / "datasets" / made.name).symlink_to(made)
+    monkeypatch.setenv("SLAMHIVE_HOME", str(home))
+    words = ("-o", tmp_path / "again.zip", "--license", "CC-BY-4.0", "--author", "A. Author")
+    code, _, err = run_command("bundle", "acts", *words)
+    assert code == 0, err
+    assert (tmp_path / "again.zip").read_bytes() == study.read_bytes()
+
+
 def test_a_study_stays_its_own_beside_the_same_program_of_somebody_else(
     studied: Path, study: Path, tmp_path: Path, run_command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -77,6 +93,13 @@ def test_a_study_stays_its_own_beside_the_same_program_of_somebody_else(
     code, _, err = run_command("bundle", "acts", *words)
     assert code == 0, err
     assert again.read_bytes() == study.read_bytes()
+    with Archive.open(Home.at(home).archive_url) as archive:
+        archive.remove_run(next(iter(records(studied))))
+    code, out, err = run_command("bundle", "acts", "-o", tmp_path / "part.zip")
+    assert code == 0, err
+    assert "the other 1 of the 4 that were asked for have not finished and are not in it" in " ".join(
+        (out + err).split()
+    )
 
 
 def test_runs_of_the_original_slam_hive_are_refused(
@@ -216,7 +239,7 @@ def broken(rezip: Callable[..., Path], kind: str, trajectory: str, folder: Path)
             "study.json: form is 'slamhive-study/9', and this slamhive reads 'slamhive-study/1'",
         ),
         ("no JSON", "study.json: is no JSON"),
-        ("a wrong field", "study.json: name: Input should be a valid string, found '3'"),
+        ("a wrong field", "study.json: name: must be a text, found '3'"),
         ("a wrong name", "run.json: algorithm: Field required"),
         ("other", "has no study.json: it is no bundle of slamhive bundle"),
         ("text", "text.zip: is damaged, or no zip file"),
@@ -234,6 +257,7 @@ def test_what_is_no_bundle_is_refused_by_name(
     said: str,
 ) -> None:
     path = broken(rezip, kind, trajectories[0], tmp_path)
+    assert "a folder; a bundle is one .zip file" in " ".join(run_command("verify", tmp_path)[2].split())
     for command in ("verify", "import"):
         code, _, err = run_command(command, path)
         assert code == 2
@@ -269,7 +293,13 @@ def test_ground_truth_that_is_not_here_is_said(
     truths = tmp_path / "truths"
     truths.mkdir()
     shutil.copyfile(next(tiny.glob("tiny-*/groundtruth.txt")), truths / "tiny.txt")
-    changed = rezip({"study.json": json.dumps(told).encode()})
+    content = json.dumps(told).encode()
+    code, out, err = run_command("verify", rezip({"study.json": content}), "--ground-truth", truths)
+    assert code == 2
+    assert "study.json: not what README.md has the checksum of" in " ".join(err.split())
+    older = rezip({"study.json": content, "README.md": b"# Study\n"}, forged=True)
+    assert run_command("verify", older, "--ground-truth", truths)[0] == 1
+    changed = rezip({"study.json": content}, forged=True)
     code, out, err = run_command("verify", changed, "--ground-truth", truths)
     assert code == 1
     assert "is another one: checksum" in " ".join(err.split())

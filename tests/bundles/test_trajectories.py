@@ -86,6 +86,20 @@ def test_every_format_gives_the_same_figures(
     assert code == 0, err
 
 
+def test_results_of_two_addresses_of_a_server_stand_side_by_side(
+    elsewhere: Path, estimate: Trajectory, tmp_path: Path, run_command: Command
+) -> None:
+    write_tum(tmp_path / "poses.txt", estimate)
+    for number in (1, 2):
+        other = ("--algorithm", f"slam-{number}", "--source", f"https://example.org/{number}")
+        code, _, err = run_command("import", "trajectories", tmp_path / "poses.txt", *MINE, *other)
+        assert code == 0, err
+    code, out, err = run_command("results", "list", "--format", "json", "--columns", "algorithm")
+    found = sorted(one["algorithm"] for one in json.loads(out))
+    assert found == ["slam-1 @example.org", "slam-2 @example.org"]
+    assert "left out" not in err
+
+
 def test_stamps_of_another_clock_are_told_with_their_offset(
     elsewhere: Path, estimate: Trajectory, tmp_path: Path, run_command: Command
 ) -> None:
@@ -117,6 +131,11 @@ def test_stamps_of_another_clock_are_told_with_their_offset(
         (("--frame", "camera"), "--frame: dataset 'tiny' has no sensor 'camera'; known: body, lidar"),
         (("--label", "a b"), "--label: 'a b': a label has letters"),
         (("--parameter", "fast"), "--parameter: expected NAME=VALUE, found 'fast'"),
+        (
+            ("--ground-truth", "poses.txt", "--dataset", "hall", "--frame", "lidar"),
+            "there is ground truth alone",
+        ),
+        (("..",), "..: a folder; name the files in it"),
         (("--alignment", "yaw"), "Yaw needs a Dataset and an Algorithm"),
     ],
 )
@@ -126,13 +145,39 @@ def test_what_is_wrong_is_said(
     estimate: Trajectory,
     tmp_path: Path,
     run_command: Command,
+    monkeypatch: pytest.MonkeyPatch,
     words: tuple[str, ...],
     said: str,
 ) -> None:
     write_tum(tmp_path / "poses.txt", estimate)
+    monkeypatch.chdir(tmp_path)
     code, _, err = run_command("import", "trajectories", tmp_path / "poses.txt", *MINE, *words)
     assert code == 2
     assert said in " ".join(err.split())
+
+
+def test_a_file_that_is_here_already_is_not_read_otherwise(
+    elsewhere: Path, estimate: Trajectory, tmp_path: Path, run_command: Command
+) -> None:
+    write_trajectory(tmp_path / "poses.txt", estimate, "kitti")
+    words = ("import", "trajectories", tmp_path / "poses.txt", *MINE, "--parameter", "gain=nan")
+    assert run_command(*words)[0] == 0
+    (tmp_path / "times.txt").write_text("\n".join(map(repr, (estimate.stamps + 0.004).tolist())))
+    for more in (("--times", tmp_path / "times.txt"), ("--frame", "lidar")):
+        code, _, err = run_command(*words, *more)
+        assert code == 2
+        assert "is here already as my-slam-tiny-" in " ".join(err.split())
+    code, out, _ = run_command(*words, "--format", "kitti")
+    assert code == 0
+    assert "1 there already" in out
+    assert len(runs_of(elsewhere)) == 1
+
+
+def test_a_file_of_poses_alone_tells_the_command(tmp_path: Path, run_command: Command) -> None:
+    (tmp_path / "poses.txt").write_text("1 2 3 4 0 0 0 1\n")
+    code, _, err = run_command("import", tmp_path / "poses.txt")
+    assert code == 2
+    assert "slamhive import trajectories FILE --dataset NAME" in " ".join(err.split())
 
 
 def test_broken_files_keep_no_others_out(

@@ -4,10 +4,14 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 import yaml
+
+from slamhive.cli.parts.searches import progress_text
+from slamhive.model.search import Search
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -114,6 +118,17 @@ def test_a_plan_says_how_much_is_tried(
     for command in ("plan", "validate"):
         code, out, err = run_command(command, write(search, **spec))
         assert (code, said in plain(out + err)) == (0, True), out + err
+
+
+@pytest.mark.parametrize(("is_complete", "more"), [(False, " (after 1 run, not all)"), (True, "")])
+def test_a_best_of_fewer_runs_than_all_says_so(is_complete: bool, more: str) -> None:
+    score = SimpleNamespace(values=(0.5,), failed=0)
+    best = SimpleNamespace(number=0, score=score, runs=1, is_complete=is_complete)
+    space = SimpleNamespace(setting=lambda _: SimpleNamespace(coordinates={"parameters.number": 3}))
+    asked = Search.model_validate({"method": "TPE", "objectives": [{"metric": "ate.rmse"}], "trials": 3})
+    plan = SimpleNamespace(trials=[SimpleNamespace(values=[3])], most_trials=3, space=space)
+    under_way: Any = SimpleNamespace(plan=plan, search=asked, seen={0: None}, best=[best])
+    assert progress_text(under_way) == f"trial 1 of 3, 1 run, best ate.rmse 0.5 m at number 3{more}"
 
 
 def test_a_search_is_run_and_said_in_words(write: Callable[..., Path], run_command: Command) -> None:

@@ -64,6 +64,18 @@ def test_a_line_says_how_far_it_is_and_how_long_it_still_takes() -> None:
         assert watch.says(11) == ["another: 3 of 4, 2 MiB, 11 s, about 2 s left"]
 
 
+def test_each_step_has_a_share_and_a_time_of_its_own() -> None:
+    watch = Watch()
+    with watch.work:
+        watch.work.part("step 1 of 2, reading", 0.0)
+        watch.now = 8
+        watch.work.part("step 1 of 2, reading", 0.5)
+        assert watch.says(8) == ["making it: step 1 of 2, reading, 50 %, 8 s, about 8 s of this step left"]
+        watch.now = 20
+        watch.work.part("step 2 of 2, looking", 0.0)
+        assert watch.says(21) == ["making it: step 2 of 2, looking, 0 %, 21 s"]
+
+
 def test_what_has_to_be_made_first_is_shown_while_it_is_made() -> None:
     watch, making = Watch(), {}
     watch.work.follow(making)

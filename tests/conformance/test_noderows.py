@@ -23,6 +23,8 @@ def ended(metrics: dict[str, Any], moved: float = 0.0, **record: Any) -> Any:
     made = SimpleNamespace(
         metrics=metrics,
         phase=Phase.SUCCEEDED,
+        message=None,
+        usage=None,
         spec={"input": {}},
         provenance=SimpleNamespace(prepared=SimpleNamespace(frame_rate=10.0)),
         frames=SimpleNamespace(offered=len(stamps)),

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamhive.conformance.rows import data, rest_before
+from slamhive.conformance.rows import data, ran, rest_before
 from slamhive.model.algorithm import Output, Poses
+from slamhive.model.results import Phase
 from slamhive_eval import Trajectory
 
 
@@ -64,3 +65,17 @@ def test_a_program_that_drops_many_frames_is_in_doubt(dropped: int, answer: str)
         record=SimpleNamespace(frames=SimpleNamespace(processed=200 - dropped, dropped=dropped))
     )
     assert data(200, 20.0, 20.0, Output(frame="body"), counted).answer == answer
+
+
+@pytest.mark.parametrize(
+    ("message", "answer", "found"),
+    [
+        (None, "pass", "2 of 2 ended well"),
+        ("UsageSuspect: busy", "pass", "2 of 2 ended well"),
+        ("UsageSuspect: busy; no node declares a", "warning", "2 of 2 ended well; no node declares a"),
+    ],
+)
+def test_what_runs_remark_beside_their_load_is_told(message: str | None, answer: str, found: str) -> None:
+    record = SimpleNamespace(phase=Phase.SUCCEEDED, message=message, usage=SimpleNamespace(suspect="busy"))
+    told = ran([SimpleNamespace(record=record)] * 2)  # type: ignore[list-item]
+    assert (told.answer, told.found) == (answer, found)

@@ -96,6 +96,8 @@ def make_record(number: int) -> RunRecord:
         "repetition": number // 16,
         "seed": number,
     }
+    # Runs of the original system have numbers for names, beside own ones that have words.
+    labels = {"camera": ("front", "back")[number // 4 % 2]} | ({"run": "57"} if number == 20 else {})
     finished = STARTED + timedelta(minutes=number)
     return RunRecord.model_validate(
         {
@@ -124,7 +126,7 @@ def make_record(number: int) -> RunRecord:
                 "includesReader": False,
             },
             "metrics": {"loops": number % 5, "ratio": float("nan"), "largest": float("inf"), "keyframes": 12},
-            "labels": {"camera": ("front", "back")[number // 4 % 2]},
+            "labels": labels,
             "results": [] if failed else [result],
             "folder": f"runs/study/run-{number:03d}" if number < WITH_FILES else None,
             "provenance": {"contentHash": f"{number:064x}", "slamhiveVersion": "0.1.0", "cpuModel": "P"}

@@ -191,6 +191,11 @@ def test_a_point_opens_its_run(browser: Any, site: str) -> None:
     browser.wait("location.pathname === '/runs/run-008'")
 
 
+def test_runs_that_no_point_stands_for_are_counted(browser: Any, site: str) -> None:
+    browser.open(f"{site}/explore?x=ate.rmse&y=coverage")
+    browser.wait("document.body.innerText.includes('8 of 48 have no ATE [m] and are not drawn')")
+
+
 def test_a_chart_has_its_table_and_csv(browser: Any, site: str) -> None:
     browser.open(f"{site}/explore?kind=scatter&x=parameters.nFeatures&y=ate.rmse")
     browser.wait(f"{DRAWN} === 1")

@@ -14,6 +14,7 @@ import pytest
 pytest.importorskip("uvicorn")
 
 import uvicorn
+from starlette.responses import JSONResponse
 
 from slamhive.dashboard.server.app import create_app
 from slamhive.dashboard.server.serving import listen
@@ -49,11 +50,30 @@ class Cluster(Workstation):
         return replace(archived, sweeps={("", "study"): sweep}, revision=revision, problems=self.problems)
 
 
+class BusyOnce:
+    """A dashboard's application that is too busy for the first question to an address."""
+
+    def __init__(self, app: Any, path: str) -> None:
+        self._app = app
+        self._path: str | None = path
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        answer = self._app
+        if scope.get("path") == self._path:
+            self._path = None
+            answer = JSONResponse({"error": "too many questions at a time"}, 503)
+        await answer(scope, receive, send)
+
+
 class Served:
     """A dashboard in a thread."""
 
-    def __init__(self, source: Workstation, listening: socket.socket, **options: Any) -> None:
+    def __init__(
+        self, source: Workstation, listening: socket.socket, *, busy: str = "", **options: Any
+    ) -> None:
         app = create_app(source, **options)
+        if busy:
+            app.add_middleware(BusyOnce, path=busy)
         config = uvicorn.Config(
             app, log_level="critical", timeout_graceful_shutdown=1, lifespan="on", ws="none"
         )
@@ -91,7 +111,7 @@ def port(cluster: Cluster) -> Iterator[int]:
 def test_a_live_sweep_goes_on(browser: Any, cluster: Cluster, port: int) -> None:
     browser.open(f"http://127.0.0.1:{port}/")
     browser.wait("document.querySelector('article .live')?.innerText === 'live'")
-    assert "smallest ATE: 0.0321 m hall" in browser.text()
+    assert "smallest ATE (on 1 of 2 datasets): 0.0321 m hall" in browser.text()
     browser.click("article a", "study")
     browser.wait("document.body.innerText.includes('48 of 60 runs finished (80 %)')")
     browser.wait("document.body.innerText.includes('<b>2 runs</b> are running')")
@@ -127,5 +147,14 @@ def test_a_page_that_is_told_nothing_asks(browser: Any, cluster: Cluster) -> Non
         browser.wait("document.body.innerText.includes('This page asks for news every 5 s')")
         cluster.phases = {"Succeeded": 52, "Failed": 8}
         browser.wait("document.body.innerText.includes('60 of 60 runs finished')")
+        browser.call("Page.navigate", url="about:blank")
+    browser.complaints[:] = [one for one in browser.complaints if "503" not in one]
+
+
+def test_a_page_asks_again_what_a_busy_dashboard_refused(browser: Any, cluster: Cluster) -> None:
+    listening = listen("127.0.0.1", 0)
+    with Served(cluster, listening, busy="/api/v1/columns"):
+        browser.open(f"http://127.0.0.1:{listening.getsockname()[1]}/leaderboard")
+        browser.wait("document.querySelector('select').selectedOptions[0].textContent === 'ATE [m]'")
         browser.call("Page.navigate", url="about:blank")
     browser.complaints[:] = [one for one in browser.complaints if "503" not in one]

@@ -9,6 +9,7 @@ import gzip
 import http.server
 import json
 import re
+import shutil
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,8 +26,8 @@ from slamhive.model.errors import InputError
 
 pytest.importorskip("fastapi")
 
-from slamhive.dashboard.publishing import questions
 from slamhive.dashboard.publishing.building import SiteWish, build
+from slamhive.dashboard.publishing.runpages import RunPages
 from slamhive.dashboard.sources.archived import Workstation
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ PAGES = (
     *(f"/explore?kind={kind}" for kind in ("line", "box", "ecdf", "heat", "contour", "slices")),
     *(f"/explore?kind={kind}" for kind in ("parallel", "pareto&x=usage.cpu.meanCores", "multiples")),
     *(f"/studies?kind={kind}" for kind in ("pairs", "importance", "repeatability", "robustness")),
-    *(f"/studies?kind={kind}" for kind in ("versions", "common", "suspects")),
+    *(f"/studies?kind={kind}" for kind in ("versions", "common", "suspects", "suspects&dataset=hall")),
     "/timeline?sweep=study",
 )
 NARROW = 8
@@ -55,6 +56,8 @@ OF_THE_TABLE = (
     "runs?columns=uid,ate.rmse&sort=ate.rmse&limit=100&algorithm=first&coverage%3E=0.9",
     "runs?columns=uid,reason,note&status=OutOfMemory&sort=uid&ate.rmse=null",
     "runs?columns=uid,dataset&sort=-uid&dataset!=hall&parameters.nFeatures=1000&parameters.nFeatures=1500",
+    "runs?columns=uid,run&sort=-run&limit=100",
+    "analysis/points?x=run&y=ate.rmse&colour=run",
     "analysis/points?x=parameters.nFeatures&y=ate.rmse&colour=algorithm",
     "analysis/points?x=usage.cpu.meanCores&y=coverage&facet=dataset&ate.rmse%3C0.08&sensors=mono",
     "runs/run-001/trajectory?points=2000&evaluation=sim3",
@@ -165,35 +168,44 @@ def test_answers_are_those_of_the_api(site: str, folder: Path) -> None:
         assert plain(read(folder, answers[question])) == expected, question
 
 
-@pytest.mark.browser
-def test_the_papers_tables_are_asked_for_as_the_pages_do() -> None:
-    static = Path(questions.__file__).parents[1] / "static"
-    text = (static / "core" / "questions.js").read_text()
-    absent = [part for table in questions.PAPER_TABLES for part in table if part not in text]
-    assert absent == []
-
-
 def test_choices_that_need_a_server_say_so(browser: Browser, published: str) -> None:
     browser.open(f"{published}#/leaderboard?where=coverage%20%3E%200.5")
     assert "no server to read that condition" in browser.text()
+    for page in ("sweep", "algorithm", "dataset"):
+        browser.open(f"{published}#/{page}s/nothing")
+        assert f"This site has no page of the {page} 'nothing'." in browser.text()
     browser.open(f"{published}#/runs")
     assert "Condition" not in browser.text()
     assert "earlier versions too" not in browser.text()
+    browser.open(f"{published}#/")
+    assert "running now" not in browser.text()
 
 
 def test_an_update_adds_and_addresses_stay(
-    archive_url: str, tmp_path: Path, make_run: Callable[[int], RunRecord]
+    archive_url: str, tmp_path: Path, make_run: Callable[[int], RunRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     home = tmp_path / "home"
-    home.mkdir()
+    first_home = Path(archive_url.removeprefix("sqlite:///")).parent
+    shutil.copytree(first_home, home, ignore=shutil.ignore_patterns("archive.sqlite*"))
     url = f"sqlite:///{home / 'archive.sqlite'}"
     with Archive.open(url) as archive:
         archive.put_sweep(SweepRecord(uid="study", name="study", spec={}))
         archive.put_runs(map(make_run, range(16)))
     site = tmp_path / "site"
+
+    def interrupt(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(RunPages, "written", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            made(url, site)
     assert made(url, site).runs == 16
     first = {path: path.read_bytes() for path in site.rglob("*") if path.is_file()}
-    assert made(url, site).added == 0
+    with Archive.open(url) as archive:
+        archive.put_run(make_run(4))  # the same content: only times of files differ
+    again = made(url, site)
+    assert (again.same, again.runs, again.added) == (True, 16, 0)
     before = read(site, index_of(site)["runs"])
     with Archive.open(url) as archive:
         archive.put_runs(map(make_run, range(16, 18)))
@@ -206,6 +218,15 @@ def test_an_update_adds_and_addresses_stay(
     place = after["uids"].index("run-003")
     assert read(site, after["files"][after["at"][place]])["run-003"][""]["uid"] == "run-003"
     assert before["files"][0] in after["files"]
+    pages = json.dumps([read(site, name) for name in after["files"]])
+    path = re.findall(r'{"file": "(\w+)"}', pages)[0]
+    names = [f"data/{name[:2]}/{name}.json.gz" for name in (after["files"][-1], path)]
+    kept = {name: (site / name).read_bytes() for name in (*names, "index.html")}
+    for lost in (*names, "index.html"):
+        (site / lost).unlink()
+        assert not made(url, site).same
+        assert {name: (site / name).read_bytes() for name in kept} == kept
+    assert made(url, site).same
 
 
 def test_a_folder_of_something_else_stays_as_it_is(tmp_path: Path, archive_url: str) -> None:

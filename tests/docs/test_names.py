@@ -37,6 +37,8 @@ ELSEWHERE = {
 }
 """Source files that are not ours, and whose they are."""
 NEW = re.compile(r"new module `([\w.]+)`")
+CODE = re.compile(r'"((?:points|imu|stamps|clock|frames|images|camera|stereo|depth|truth|gnss)\.[a-z.-]+)"')
+"""Codes of findings as the doctor's modules write them."""
 
 
 @cache
@@ -90,6 +92,14 @@ def test_all_that_maintainers_are_told_of_is_there(document: Path) -> None:
     named |= {path for block in blocks(document, "diff") for path in DIFF.findall(block.text)}
     named = {name for name in named - made_by(document) if name.split("/")[0] not in MADE}
     assert [name for name in sorted(named) if not is_there(name, document)] == []
+
+
+def test_codes_of_findings_are_explained() -> None:
+    page = (ROOT / "docs" / "datasets.md").read_text(encoding="utf-8")
+    doctor = (PACKAGE / "data" / "doctor").glob("*.py")
+    codes = {code for path in doctor for code in CODE.findall(path.read_text(encoding="utf-8"))}
+    assert {"points.duplicate", "stamps.back"} <= codes
+    assert not {code for code in codes if f"`{code}`" not in page}
 
 
 @pytest.mark.parametrize("document", MAINTAINERS, ids=name_of)

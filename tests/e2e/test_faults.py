@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The operator killed on a node in the middle of a sweep, and a sweep deleted in its middle."""
+"""The operator killed on a node in the middle of a sweep, a sweep deleted in its middle, a run preempted."""
 
 from __future__ import annotations
 
@@ -21,10 +21,24 @@ GONE_SECONDS = 240
 SLOW, SLOWER = 3, 1.5
 """Frame rates, Hz, that no other test of this installation plays: what prepares them is this test's own."""
 
+HANGING = manifest(
+    "Algorithm",
+    "hanging",
+    version="1",
+    image="slamhive/shell-algorithm:1.0.0",
+    command=["sleep", "86400"],
+    modes=[{"name": "lidar", "roles": ["lidar"]}],
+    recording=["Rosbag1"],
+    output={"frame": "lidar"},
+    paces=["Lockstep"],
+)
+"""An Algorithm whose runs are at work until somebody ends them."""
+
 
 @pytest.fixture(autouse=True)
-def reckoning(lab: Lab) -> None:
+def algorithms(lab: Lab) -> None:
     lab.apply_algorithm(ROOT / "tests" / "images" / "shell-algorithm")
+    lab.apply(HANGING)
 
 
 def test_an_operator_killed_twice_loses_and_doubles_nothing(lab: Lab) -> None:
@@ -88,16 +102,6 @@ def preparations(lab: Lab) -> set[str]:
 def test_a_sweep_deleted_in_the_middle_leaves_nothing(lab: Lab) -> None:
     """Not even the preparation of a recording that nobody else reads; one that somebody reads stays."""
     before = preparations(lab)
-    hanging = {
-        "version": "1",
-        "image": "slamhive/shell-algorithm:1.0.0",
-        "command": ["sleep", "86400"],
-        "modes": [{"name": "lidar", "roles": ["lidar"]}],
-        "recording": ["Rosbag1"],
-        "output": {"frame": "lidar"},
-        "paces": ["Lockstep"],
-    }
-    lab.apply(manifest("Algorithm", "hanging", **hanging))
     template = lab.run("x", "hanging", evaluate=False)["spec"]
     template["resources"] = {"cpu": "50m", "memory": "64Mi"}
     lab.apply(
@@ -134,3 +138,33 @@ def test_a_sweep_deleted_in_the_middle_leaves_nothing(lab: Lab) -> None:
     until(lambda: owners() == ["other"], "the other one to have one owner", GONE_SECONDS)
     lab.kubectl("delete", "mappingrun", "other", "--wait=false")
     until(lambda: not preparations(lab) & made, "the other preparation to go", GONE_SECONDS)
+
+
+def test_a_run_that_a_higher_class_takes_the_node_from_goes_on_and_is_not_blamed(lab: Lab) -> None:
+    (node,) = lab.get("nodes")["items"]
+    most = {"cpu": f"{float(node['status']['allocatable']['cpu']) * 0.6:.1f}", "memory": "256Mi"}
+    classes = [
+        {
+            "apiVersion": "scheduling.k8s.io/v1",
+            "kind": "PriorityClass",
+            "metadata": {"name": f"lab-{name}"},
+            "value": value,
+        }
+        for name, value in (("later", -10), ("sooner", 10))
+    ]
+    lab.cluster.apply(*classes)
+
+    def at_work(disruptions: int | None = None) -> bool:
+        status = lab.get("mappingrun", "later").get("status") or {}
+        return (status.get("phase"), status.get("disruptions")) == ("Running", disruptions)
+
+    common = {"resources": most, "evaluate": False}
+    lab.apply(lab.run("later", "hanging", priorityClassName="lab-later", **common))
+    until(at_work, "the run of the lower class", 180)
+    lab.apply(lab.run("sooner", "shell-dead-reckoning", priorityClassName="lab-sooner", **common))
+    assert lab.ended("sooner")["phase"] == "Succeeded"
+    until(lambda: at_work(1), "the run of the lower class to go on", 180)
+    found = lab.get("mappingrun", "later")["status"]
+    assert (found["attempts"], found.get("faults")) == (1, None)
+    lab.kubectl("delete", "mappingrun", "later", "sooner")
+    lab.cluster.kubectl("delete", "priorityclass", *(one["metadata"]["name"] for one in classes))

@@ -15,8 +15,8 @@ from onnode.lab import needed_one_attempt
 if TYPE_CHECKING:
     from onnode.first import First
 
-SEEN_SECONDS = 60
-"""A run of that length doesn't slip through between two readings of the metrics API."""
+SEEN_SECONDS = 150
+"""A run of that length doesn't slip through between two readings of the metrics API, on a busy node too."""
 
 
 def place(spec: dict[str, Any]) -> tuple[Any, ...]:
@@ -102,12 +102,11 @@ def watched(first: First) -> dict[str, Any]:
 
 @pytest.mark.parametrize("gauge", GAUGES)
 def test_prometheus_has_the_live_gauges_of_each_run(first: First, gauge: str) -> None:
-    """Each run of a minute and more, by its slot, between its begin and the end of its pod."""
+    """The long run, and others as long, by their slots, between their begins and their pods' ends."""
     went_on(first)
     series = watched(first)[gauge]
-    long = [run for run in [*first.runs, first.long] if run["status"]["usage"]["wallSeconds"] > SEEN_SECONDS]
-    assert first.long in long
-    for run in long:
+    long = [run for run in first.runs if run["status"]["usage"]["wallSeconds"] > SEEN_SECONDS]
+    for run in [first.long, *long]:
         labels, status = run["metadata"].get("labels", {}), run["status"]
         wanted = {
             "namespace": run["metadata"]["namespace"],

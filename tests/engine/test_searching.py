@@ -52,7 +52,7 @@ def test_poor_settings_get_few_runs_and_the_best_gets_all() -> None:
         13,
         19,
     ]  # 16, which has the smallest error, failed once
-    assert decision.standings[3].dropped == "all of its 1 runs failed"
+    assert decision.standings[3].dropped == "its one run failed"
     assert decision.standings[18].dropped == "after 1 of 6 runs 10 of 18 were better"
 
 

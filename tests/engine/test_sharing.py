@@ -25,6 +25,7 @@ def crowds(draw: st.DrawFn) -> list[Contender]:
             held=0,
             asks=draw(st.integers(0, 40)),
             weight=draw(st.integers(1, 1000)),
+            priority=draw(st.integers(-1, 1)),
         )
         for number in range(count)
     ]
@@ -63,8 +64,8 @@ def test_each_has_its_fair_number_within_one_slot(
     slots, fair = served(capacity, crowd, told), divide(capacity, crowd, told)
     for one in crowd:
         assert abs(slots[one.name] - fair.sweeps[one.name]) < 2  # whole for its namespace, then for itself
-    for space, part in fair.namespaces.items():
-        inside = sum(slots[one.name] for one in crowd if one.namespace == space)
+    for group, part in fair.groups.items():
+        inside = sum(slots[one.name] for one in crowd if one.group == group)
         assert math.floor(part + 1e-9) <= inside <= math.ceil(part - 1e-9)
 
 
@@ -73,8 +74,36 @@ def test_who_does_not_get_all_it_asks_for_gets_by_weight(capacity: int, crowd: l
     fair = divide(capacity, crowd).sweeps
     for one in crowd:
         for other in crowd:
-            if one.namespace == other.namespace and fair[one.name] < one.asks - 1e-6:
+            if one.group == other.group and fair[one.name] < one.asks - 1e-6:
                 assert fair[other.name] / other.weight <= fair[one.name] / one.weight + 1e-6
+
+
+@given(st.integers(0, 100), crowds(), rules)
+def test_nobody_of_a_lower_priority_gets_what_a_higher_one_could_have(
+    capacity: int, crowd: list[Contender], told: dict[str, NamespaceRule]
+) -> None:
+    slots = served(capacity, crowd, told)
+    for one in crowd:
+        above = [other for other in crowd if other.priority >= one.priority]
+        alone = served(capacity, above, told)
+        assert {other.name: slots[other.name] for other in above} == alone
+
+
+def test_a_limit_of_a_namespace_holds_over_all_its_priorities() -> None:
+    crowd = [
+        Contender("urgent", "a", held=0, asks=3, priority=1000),
+        Contender("usual", "a", held=0, asks=50),
+        Contender("other", "b", held=0, asks=50),
+    ]
+    few = {"a": NamespaceRule(slots=5)}
+    turns = SlotTurns()
+    turns.pass_by(1.0, crowd, divide(12, [replace(one, priority=0) for one in crowd], few))
+    assert turns.next(1, crowd, divide(1, crowd, few), few) == ["urgent"]  # though it had another before
+    assert divide(12, crowd, few).sweeps == {"urgent": 3, "usual": 2, "other": 7}
+    assert served(12, crowd, few) == {"urgent": 3, "usual": 2, "other": 7}
+    assert divide(2, crowd).sweeps == {"urgent": 2, "usual": 0, "other": 0}
+    later = foresee(2, crowd, {"urgent": SlotWork(10, 1), "usual": SlotWork(10, 1)})
+    assert (later["urgent"].end, later["usual"].start) == (5, 5)
 
 
 def test_a_second_sweep_does_not_double_a_labs_share() -> None:

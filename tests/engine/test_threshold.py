@@ -77,6 +77,12 @@ def test_a_threshold_is_found_or_it_is_said_why_not(
         assert "30: 3/3" in one.sentence
 
 
+def test_an_interval_that_few_runs_can_not_give_is_said_to_be_unknown() -> None:
+    plan = planned({"path": RINGS, "values": [8, 16, 32]}, repetitions=1)
+    (one,) = found(plan, sought(plan, above(20)))
+    assert one.sentence.endswith("fails at 32 (1/1); 95 %: not known from so few runs")
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_what_is_tried_follows_from_results_not_from_their_order(seed: int) -> None:
     limits = {"a": 0.3, "b": 0.5, "c": 0.02}

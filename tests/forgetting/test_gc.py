@@ -126,7 +126,7 @@ def test_folders_of_runs_that_are_missing_keep_the_variants(
 ) -> None:
     lab.run("elsewhere", files=False)
     said = slamhive("gc", "--yes")
-    assert "folders of 1 runs are missing" in said.out
+    assert "folders of 1 run are missing" in said.out
     assert there(variants) == [True, True]
 
 

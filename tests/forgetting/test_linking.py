@@ -49,6 +49,12 @@ def test_another_map_stays_its_own(tmp_path: Path, content: bytes) -> None:
     assert (mine.stat().st_nlink, mine.read_bytes()) == (1, MAP)
 
 
+def test_holes_are_not_read_for_what_little_room_they_take(tmp_path: Path) -> None:
+    for folder in ("a", "a@11111111"):
+        os.truncate(output(tmp_path / folder), 64 << 20)
+    assert link_to_earlier(tmp_path / "a") == 0
+
+
 def test_links_are_never_followed(tmp_path: Path) -> None:
     secret = tmp_path / "secret"
     secret.write_bytes(MAP)

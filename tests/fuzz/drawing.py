@@ -13,13 +13,15 @@ import tempfile
 import time
 import traceback
 from collections import Counter
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
-HANG_SECONDS = 60
+CPU_SECONDS, WAITING_SECONDS = 60, 600
+"""Of a case at most: computed, and by the clock, which counts what else the machine does."""
 MEMORY_BYTES = 6 << 30
 
 
@@ -28,14 +30,28 @@ class FaultError(Exception):
 
 
 def hang(*_: object) -> NoReturn:
-    """Stop what doesn't come back; the handler of the alarm signal."""
-    raise TimeoutError(f"no answer within {HANG_SECONDS} s")
+    """Stop what doesn't come back; the handler of both timers' signals."""
+    raise TimeoutError(f"no answer within {CPU_SECONDS} s of CPU, {WAITING_SECONDS} s by the clock")
 
 
 def bound(memory_bytes: int = MEMORY_BYTES) -> None:
-    """Bound this process's memory, and have alarms raise an error."""
+    """Bound this process's memory, and have timers raise an error."""
     resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
     signal.signal(signal.SIGALRM, hang)
+    signal.signal(signal.SIGPROF, hang)
+
+
+@contextmanager
+def timed() -> Iterator[None]:
+    """Bound the time of a case."""
+    timers = {signal.ITIMER_PROF: CPU_SECONDS, signal.ITIMER_REAL: WAITING_SECONDS}
+    for timer, seconds in timers.items():
+        signal.setitimer(timer, seconds)
+    try:
+        yield
+    finally:
+        for timer in timers:
+            signal.setitimer(timer, 0)
 
 
 def require_sentence(text: str) -> None:
@@ -72,16 +88,14 @@ def run_cases(words: str, run: Callable[[random.Random, Path], str], memory_byte
         while number < asked.start + asked.cases if asked.cases is not None else time.monotonic() < end:
             folder = Path(made) / str(number)
             folder.mkdir()
-            signal.alarm(HANG_SECONDS)
             try:
-                ends[run(random.Random(number), folder)] += 1
+                with timed():
+                    ends[run(random.Random(number), folder)] += 1
             except Exception as error:  # noqa: BLE001 - that is what is looked for
                 frame = traceback.extract_tb(error.__traceback__)[-1]
                 kind = f"{type(error).__name__} in {Path(frame.filename).name}, line {frame.lineno}"
                 told = f"{kind}: --start {number} --cases 1\n{traceback.format_exc()}"
                 failures.setdefault(kind, told)
-            finally:
-                signal.alarm(0)
             shutil.rmtree(folder, ignore_errors=True)
             number += 1
     for failure in failures.values():

@@ -17,7 +17,6 @@ import hashlib
 import io
 import json
 import random
-import signal
 import sys
 import tempfile
 import time
@@ -34,7 +33,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 sys.path.append(str(Path(__file__).parent))
 
-from drawing import HANG_SECONDS, bound
+from drawing import bound, timed
 
 from slamhive_eval import (
     EvaluationError,
@@ -314,9 +313,8 @@ class Reading:
         path.write_bytes(data)
         digest = hashlib.sha256(data).hexdigest()
         self.count += 1
-        signal.alarm(HANG_SECONDS)
         try:
-            with warnings.catch_warnings():
+            with timed(), warnings.catch_warnings():
                 warnings.simplefilter("error")
                 check(path, random.Random(digest))
             self.read += 1
@@ -327,8 +325,6 @@ class Reading:
             frame = traceback.extract_tb(error.__traceback__)[-1]
             kind = f"{type(error).__name__} in {Path(frame.filename).name}, line {frame.lineno}"
             self._failed(kind, f"{digest[:12]}-{path.name}.kept", data)
-        finally:
-            signal.alarm(0)
 
     def _failed(self, kind: str, name: str, data: bytes) -> None:
         """Keep the first file of each kind of failure."""

@@ -39,7 +39,7 @@ sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "data" 
 from drawing import FaultError, require_sentence, run_cases
 from serving import Site, make_certificate, serving
 
-from slamhive.data.files import fetching
+from slamhive.data.files import fetching, https
 from slamhive.data.files.fetching import FetchProgress, WantedFile, fetch_file
 from slamhive.data.files.remotezip import fetch_members
 from slamhive.data.files.unpacking import unpack
@@ -480,6 +480,7 @@ def main() -> int:
     for name in ("https_proxy", "HTTPS_PROXY", "all_proxy", "ALL_PROXY"):
         os.environ.pop(name, None)
     vars(fetching).update(PAUSES=PAUSES, STALL_BYTES=STALL_BYTES, BLOCK=1 << 12, time=Clock)
+    vars(https).update(STALL_BYTES=STALL_BYTES, time=Clock)
     with tempfile.TemporaryDirectory() as folder:
         certificate, key = make_certificate(Path(folder))
         os.environ["SSL_CERT_FILE"] = str(certificate)

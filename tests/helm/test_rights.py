@@ -96,12 +96,21 @@ def test_beyond_the_namespaces_one_right_is_given_to_who_asks_for_it(helm: Any) 
     assert accounts == ["slamhive-operator", "slamhive-dashboard"]
 
 
-def test_nodes_are_listed_by_the_operator_alone_where_that_is_asked_for(helm: Any) -> None:
-    objects = helm.objects("--set", "sharing.readNodes=true")
+@pytest.mark.parametrize(
+    ("value", "name", "group", "resource"),
+    [
+        ("readNodes", "nodes", "", "nodes"),
+        ("readPriorityClasses", "priorities", "scheduling.k8s.io", "priorityclasses"),
+    ],
+)
+def test_what_sharing_goes_by_is_listed_by_the_operator_alone_where_that_is_asked_for(
+    value: str, name: str, group: str, resource: str, helm: Any
+) -> None:
+    objects = helm.objects("--set", f"sharing.{value}=true")
     role, binding = (one for one in objects if one["kind"].startswith("Cluster"))
     # Two releases of one name, in two namespaces, don't meet there.
-    assert role["metadata"]["name"] == binding["roleRef"]["name"] == "slamhive-nodes-lab"
-    assert role["rules"] == [{"apiGroups": [""], "resources": ["nodes"], "verbs": ["list"]}]
+    assert role["metadata"]["name"] == binding["roleRef"]["name"] == f"slamhive-{name}-lab"
+    assert role["rules"] == [{"apiGroups": [group], "resources": [resource], "verbs": ["list"]}]
     accounts = [(one["name"], one["namespace"]) for one in binding["subjects"]]
     assert accounts == [("slamhive-operator", "lab")]
 

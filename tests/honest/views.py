@@ -35,7 +35,9 @@ from typer.main import get_command
 
 import slamhive
 from slamhive.cli.main import app
-from slamhive.dashboard.server.app import create_app
+from slamhive.dashboard.answering.workers import AnswerBudget, AnswerLimits
+from slamhive.dashboard.server.app import application
+from slamhive.dashboard.server.service import Service
 from slamhive.dashboard.sources.archived import Workstation
 from slamhive.model.errors import SlamHiveError
 
@@ -71,8 +73,10 @@ class Views:
     def __init__(self, home: Path) -> None:
         self.home = home
         self._source = _Source(Workstation(f"sqlite:///{home / 'archive.sqlite'}"))
-        application: Any = create_app(self._source)
-        self._client = TestClient(application, base_url="http://127.0.0.1", raise_server_exceptions=False)
+        # Answers are judged here, not how long a busy machine makes them wait: CPU time stays bounded.
+        limits = AnswerLimits(answer=AnswerBudget(seconds=600.0), waiting_seconds=600.0)
+        asked: Any = application(Service(self._source, limits))
+        self._client = TestClient(asked, base_url="http://127.0.0.1", raise_server_exceptions=False)
 
     def __enter__(self) -> Self:
         self._client.__enter__()

@@ -80,6 +80,7 @@ def test_writing_to_a_file(filled: Command, tmp_path: Path) -> None:
         (("table", "-m", "ate.rmsee"), "unknown column 'ate.rmsee'; did you mean 'ate.rmse'"),
         (("table", "-m", "ate.rmse:furlong"), "'furlong' is neither a unit of ate.rmse"),
         (("table", "--rows", "datset"), "unknown column 'datset'; did you mean 'dataset'"),
+        (("table", "--columns", "ate.rmse"), "--columns: ate.rmse is a result"),
         (("table", "--sort", "x"), "unknown column 'x'"),
         (("list", "--sort", "-x"), "unknown column 'x'"),
         (("show", "nobody"), "unknown run 'nobody'"),

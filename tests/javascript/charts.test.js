@@ -8,8 +8,9 @@ import { causal } from '../../operator/slamhive/dashboard/static/charts/causal.j
 import { dumbbells } from '../../operator/slamhive/dashboard/static/charts/dumbbells.js';
 import { importanceCharts } from '../../operator/slamhive/dashboard/static/charts/importance.js';
 import { quantile } from '../../operator/slamhive/dashboard/static/charts/limits.js';
-import { line, lines } from '../../operator/slamhive/dashboard/static/charts/line.js';
+import { line, lines, linesOf } from '../../operator/slamhive/dashboard/static/charts/line.js';
 import { pairsChart } from '../../operator/slamhive/dashboard/static/charts/pairs.js';
+import { paretoChart } from '../../operator/slamhive/dashboard/static/charts/pareto.js';
 import {
   asCategories,
   axisOption,
@@ -436,6 +437,17 @@ test('points without a value are crosses in a field above the axes, not among va
   assert.ok(grid[1].top + grid[1].height < grid[0].top && yAxis[1].data[0] === 'failed');
 });
 
+test('who has crosses alone is in the legend, and ticks are numbers as people write them', () => {
+  const data = points(
+    [1, 2, 3].map((one) => one * 0.1),
+    [1, null, 3],
+    { colour: ['a', 'b', 'a'] },
+  );
+  const { legend, xAxis } = scatter(data, [0, 1, 2], SCATTER);
+  assert.equal(legend.data.length, 2);
+  assert.deepEqual(xAxis[0].axisLabel.customValues, [0.1, 0.2, 0.3]);
+});
+
 test('points without x are left out', () => {
   const { series } = scatter(points([1, null, 3], [1, 2, 3]), [0, 1, 2], SCATTER);
   assert.equal(series[0].data.length, 2);
@@ -514,6 +526,16 @@ test('fewer than five runs get no box, and how many count is said below', () => 
   const tracked = box(data, every(data), { ylog: false, tracked: true })(SIZE);
   assert.deepEqual(tracked.xAxis.data, ['a\nn 5/5', 'b\nn 0/1']);
   assert.equal(tracked.series[1].data.length, 5);
+});
+
+test('names of lines keep what differs, how long they are', () => {
+  const group = (end) => ({
+    keys: { dataset: 'd'.repeat(63), algorithm: `${'a'.repeat(62)}${end}`, n: 1 },
+    figures: { y: {} },
+  });
+  const keys = [{ name: 'dataset' }, { name: 'algorithm' }];
+  const names = linesOf([group('x'), group('y')], 'n', 'y', keys).map((one) => one.name);
+  assert.deepEqual([new Set(names).size, names[0].length <= 90, names[0].at(-1)], [2, true, 'x']);
 });
 
 test('a line is one combination of all keys but x and the facet', () => {
@@ -856,4 +878,30 @@ test('a recording is drawn', () => {
   assert.match(drawn(path(TRACK, 'x', 'y')), /x \[m\]/);
   assert.match(drawn(rate(RECORDING, SENSOR)), />Hz</);
   assert.match(drawn(envelopes(RECORDING, SENSOR.imu.gyro, 'rad/s')), /rad/);
+});
+
+test('fronts share their axes, failures have a field, labels say what differs', () => {
+  const point = (x, y, k) => ({ keys: { algorithm: 'a', pace: 'Lockstep', k }, x, y, front: y === 1 });
+  const fronts = [[point(1, 1, 1), point(2, null, 2)], [point(8, 90, 1)]].map((points, number) => ({
+    facets: { alignment: number },
+    points,
+  }));
+  const data = { x: { name: 'x', title: 'x', factor: 10 }, y: { name: 'y', title: 'y' }, fronts };
+  const [one, two] = fronts.map((front) => paretoChart(data, front, { xlog: false, ylog: false }));
+  const ends = ({ min, max }) => [min, max];
+  assert.deepEqual(ends(one.xAxis[0]), ends(two.xAxis));
+  assert.deepEqual(ends(one.yAxis[0]), ends(two.yAxis));
+  const [, marks, failed] = one.series;
+  assert.deepEqual(
+    marks.data.map(({ value }) => value),
+    [[10, 1]],
+  );
+  assert.deepEqual(
+    failed.data.map(({ value }) => value),
+    [[20, 0]],
+  );
+  assert.deepEqual(one.yAxis[1].data, ['failed']);
+  assert.equal(marks.label.formatter({ data: marks.data[0] }), 'k 1');
+  const alone = paretoChart(data, fronts[1], { xlog: false, ylog: false, own: true });
+  assert.notDeepEqual(ends(alone.yAxis), ends(two.yAxis));
 });

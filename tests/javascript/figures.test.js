@@ -310,6 +310,9 @@ test('a legend has all names, of 63 letters too, and the drawing is higher by it
   const phone = fitted(option, 340);
   assert.equal(phone.more, 5 * 22); // each name has two rows
   assert.equal(phone.option.legend.textStyle.overflow, 'break');
+  // One that breaks gives all others a row of their own.
+  const short = ['d', 'e'].map((name) => ({ name }));
+  assert.equal(fitted({ ...option, series: [series[0], ...short] }, 340).more, 3 * 22);
   const many = Array.from({ length: 200 }, (_, at) => ({ name: `series ${at}` }));
   assert.deepEqual(fitted({ ...option, series: many }, 340).more, 0); // pages are turned
   assert.deepEqual(fitted({ grid: {}, series }, 340).more, 0);

@@ -13,6 +13,7 @@ import {
   keysText,
   namedValue,
   number,
+  plural,
   statusClass,
   tellingKeys,
   time,
@@ -177,4 +178,11 @@ test('settings are called as their author called them where that is clear', () =
     { name: 'input.frameRate', title: 'frame rate [Hz]' },
   ]);
   assert.deepEqual([k.title, rate.title], ['k [m]', 'frame rate [Hz]']);
+});
+
+test('a count has its noun in the singular where it is one', () => {
+  assert.deepEqual(
+    [0, 1, 2, 12000].map((count) => plural(count, 'run')),
+    ['0 runs', '1 run', '2 runs', '12,000 runs'],
+  );
 });

@@ -383,6 +383,7 @@ test('Explore opens with what was swept, by algorithm, not with what algorithms 
   const both = ['parameters.voxelSize', 'parameters.maxRange'];
   assert.equal(opened('', both)[0], 'parameters.maxRange', 'what all runs have comes first');
   assert.equal(opened('', [partly.name])[0], 'usage.cpu.meanCores', 'others would be missing');
+  assert.equal(opened('kind=line', [partly.name])[0], partly.name, 'loads make no groups');
 });
 
 test('the bar of a sweep is as red as its runs failed, and as long as it is finished', () => {
@@ -407,7 +408,7 @@ test('the picture of a sweep says in words too how errors spread, and who never 
   assert.equal(ratios, 'ATE 1 to 1.00e9 times the smallest, median 2');
   assert.deepEqual([silent, failed], ['no run tracked', '7 failed']);
   assert.ok(found(drawn, 'i').every(({ props }) => Number.parseFloat(props.style.left) >= 0));
-  assert.match(text(drawn), /1 more algorithms are left out/);
+  assert.match(text(drawn), /left out: 1 more algorithm/);
   assert.ok(!Spread({ sweep: { algorithms: [], spread: [] } }));
 });
 

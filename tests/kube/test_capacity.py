@@ -3,11 +3,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from slamhive.kube.api.kinds import Kind, Label, Role
 from slamhive.kube.capacity import Bound, FeltRoom, bound_by_nodes, bound_by_quotas
+from slamhive.kube.reconciling.sweep_accounts import ShareAccounts
+from slamhive.kube.settings import Settings
+from slamhive.kube.store import Store
 
 ASKED = {"cpu": 1.2, "memory": 2.0 * 2**30}
 
@@ -91,14 +96,58 @@ def test_nodes_hold_what_the_scarcest_resource_allows_where_pods_may_go() -> Non
 @pytest.mark.parametrize("waiting", [1, 5])
 def test_so_many_pods_wait_where_the_cluster_is_full(waiting: int) -> None:
     room = FeltRoom(8, waiting)
-    assert room.slots(waits=0, undecided=8) == 8  # nobody knows yet that it is full
-    room.note(placed=8, refused=0, used=8, held=8)
-    assert room.slots(waits=0, undecided=0) == 16
-    room.note(placed=2, refused=6, used=16, held=10)
+    assert room.slots == 8  # nobody knows yet that it is full
+    room.note(placed=8, at_once=8, refused=0, used=8, held=8)
+    assert room.slots == 16
+    room.note(placed=2, at_once=2, refused=6, used=16, held=10)
     assert room.is_full
-    assert room.slots(waits=6, undecided=0) == 10 + max(6, waiting)
-    assert room.slots(waits=waiting, undecided=0) == 10 + waiting
-    # Of those that were just made some may wait too; one is tried in any case.
-    assert room.slots(waits=1, undecided=9) == room.slots(waits=0, undecided=9) == 11
-    room.note(placed=0, refused=0, used=10, held=12)  # an autoscaler brought room for two of them
-    assert room.slots(waits=0, undecided=0) == 12 + waiting
+    assert room.slots == 10 + waiting
+    room.note(placed=0, at_once=0, refused=0, used=10, held=12)  # their pods are late, which proves nothing
+    assert room.slots == 10 + waiting
+    room.note(placed=2, at_once=0, refused=0, used=10, held=12)  # an autoscaler brought room for two of them
+    assert room.slots == 12 + waiting
+
+
+def test_a_new_operator_knows_from_pods_whether_the_cluster_is_full() -> None:
+    room = FeltRoom(8)
+    room.recall(placed=12, refused=0)
+    assert (room.slots, room.is_full) == (20, False)
+    room.recall(placed=12, refused=1)
+    assert (room.slots, room.is_full) == (13, True)
+
+
+def a_pod(name: str, node: str | None, **labels: str) -> dict[str, Any]:
+    told = {"type": "PodScheduled", "status": "False", "reason": "Unschedulable"}
+    return {
+        "metadata": {
+            "name": name,
+            "namespace": "lab",
+            "uid": name,
+            "resourceVersion": "1",
+            "labels": {Label.ROLE: Role.RUN, Label.RUN: name} | labels,
+        },
+        "spec": {"nodeName": node} if node else {},
+        "status": {"phase": "Pending", "conditions": [] if node else [told]},
+    }
+
+
+def test_a_new_operator_counts_no_pods_of_runs_without_a_sweep() -> None:
+    settings = Settings.model_validate(
+        {
+            "namespaces": ["lab"],
+            "image": "example.test/slamhive:1",
+            "volumes": {"results": {"claim": "results"}, "data": {"claim": "data"}},
+        }
+    )
+    cluster: Any = SimpleNamespace(settings=settings, store=Store())
+    sweep = {Label.SWEEP: "study"}
+    for pod in (
+        a_pod("one", "node", **sweep),
+        a_pod("other", "node", **sweep),
+        a_pod("mine", "node"),
+        a_pod("stuck", None),
+    ):
+        cluster.store.put(Kind.POD, pod)
+    accounts = ShareAccounts()
+    accounts.begin(cluster, 1.8e9)
+    assert (accounts.felt.slots, accounts.felt.is_full) == (settings.default_parallelism + 2, False)

@@ -114,10 +114,10 @@ async def test_the_evaluator_hears_what_the_preparation_said_of_gravity(
 
 
 WRONG = [
-    ({"values": {"ate": "good"}}, "ate: must be an object, found 'good'"),
+    ({"values": {"ate": "good"}}, "ate: must be a mapping, found 'good'"),
     ({"values": {"ate": {"rmse": "0.2"}}}, "ate.rmse: must be a number, found '0.2'"),
     ({"values": {"rpe": "x"}}, "rpe: must be a list, found 'x'"),
-    ({"values": {"rpe": [{}] * 17}}, "rpe: at most 16 are kept"),
+    ({"values": {"rpe": [{}] * 17}}, "rpe: at most 16 are allowed, here are 17"),
     ({"values": {"scale": True}}, "scale: must be a number, found 'True'"),
 ]
 

@@ -52,7 +52,7 @@ def written(folder: Path, **changes: Any) -> Path:
 
 def test_wrong_settings_end_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert process.main(["--settings", str(written(tmp_path, workers=0))]) == 2
-    assert "operator.yaml: workers: Input should be greater than or equal to 1" in capsys.readouterr().err
+    assert "operator.yaml: workers: must be greater than or equal to 1" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

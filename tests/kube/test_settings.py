@@ -38,11 +38,11 @@ def test_the_least_settings_have_defaults(file: Path) -> None:
     ("text", "sentence"),
     [
         ("", "namespaces: Field required"),
-        (LEAST.replace("[lab]", "[]"), "namespaces: List should have at least 1 item"),
+        (LEAST.replace("[lab]", "[]"), "namespaces: at least 1 is needed, here are 0"),
         (LEAST.replace("[lab]", "[Lab]"), "namespaces.0: String should match pattern"),
         (LEAST + "wrokers: 3", "wrokers: unknown setting"),
-        (LEAST + "workers: 0", "workers: Input should be greater than or equal to 1"),
-        (LEAST + "metrics: {port: 99999}", "metrics.port: Input should be less than or equal to 65535"),
+        (LEAST + "workers: 0", "workers: must be greater than or equal to 1"),
+        (LEAST + "metrics: {port: 99999}", "metrics.port: must be less than or equal to 65535"),
         (LEAST + "preparation: {timeout: soon}", "preparation.timeout: expected a duration such as"),
         (
             LEAST + "preparation: {environment: {https proxy: x}}",
@@ -51,10 +51,10 @@ def test_the_least_settings_have_defaults(file: Path) -> None:
         (LEAST + "variantsLimit: much", "variantsLimit: expected a quantity such as"),
         (
             LEAST + "imagePullPolicy: Sometimes",
-            "imagePullPolicy: Input should be 'Always', 'IfNotPresent' or",
+            "imagePullPolicy: must be 'Always', 'IfNotPresent' or",
         ),
         ("namespaces: [lab", "line 1: not valid YAML"),
-        ("- a", "the file: Input should be a valid dictionary"),
+        ("- a", "the file: must be a mapping"),
     ],
 )
 def test_wrong_settings_are_told_by_field(file: Path, text: str, sentence: str) -> None:

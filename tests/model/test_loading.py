@@ -152,25 +152,25 @@ def test_a_bomb_of_anchors_is_refused() -> None:
         (("{name: d}", "{name: D}"), "f.yaml:7: spec.datasetRef.name: expected a name of lower-case letters"),
         (
             ("{name: d}", "{name: d}\n  seed: '1'"),
-            "f.yaml:8: spec.seed: Input should be a valid integer, found '1'",
+            "f.yaml:8: spec.seed: must be a whole number, found '1'",
         ),
         (
             ("{name: d}", "{name: d}\n  retries: yes"),
-            "f.yaml:8: spec.retries: Input should be a valid integer",
+            "f.yaml:8: spec.retries: must be a whole number",
         ),
-        (("{name: d}", "{name: d}\n  timeout: 90"), "f.yaml:8: spec.timeout: Input should be a valid string"),
+        (("{name: d}", "{name: d}\n  timeout: 90"), "f.yaml:8: spec.timeout: must be a text"),
         (
             ("{name: d}", "{name: d}\n  timeout: 1d"),
             "f.yaml:8: spec.timeout: expected a duration such as 90s",
         ),
-        (("{name: d}", "{name: d}\n  sensors: radar"), "f.yaml:8: spec.sensors: Input should be 'mono'"),
+        (("{name: d}", "{name: d}\n  sensors: radar"), "f.yaml:8: spec.sensors: must be 'mono'"),
         (
             ("{name: d}", "{name: d}\n  input: {frameRat: 5}"),
             "unknown field 'frameRat'; did you mean 'frameRate'?",
         ),
         (
             ("{name: d}", "{name: d}\n  parameters: {a: [1]}"),
-            "f.yaml:8: spec.parameters.a: Input should be a valid",
+            "f.yaml:8: spec.parameters.a: must be",
         ),
     ],
 )
@@ -203,7 +203,7 @@ spec:
     with pytest.raises(ManifestError) as error:
         to_object(parse(text, "f.yaml")[0])
     (line,) = str(error.value).splitlines()
-    assert line.startswith("f.yaml:7: spec.recording.synthetic.sensors.0: Input should be 'Lidar'")
+    assert line.startswith("f.yaml:7: spec.recording.synthetic.sensors.0: must be 'Lidar'")
 
 
 def test_a_whole_quantity_may_be_a_number() -> None:

@@ -11,8 +11,10 @@ import sys
 import threading
 from typing import TYPE_CHECKING, Any
 
+import pydantic.main
 import pytest
 
+from slamhive.model.base import Model
 from slamhive.monitor.measuring import bounded
 from slamhive.monitor.measuring.bounded import BoundedProcess, LimitError
 
@@ -21,6 +23,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 MEBIBYTE = 1 << 20
+
+
+class Unbuilt(Model):
+    """Model that is built when it is first used, as all of ours are."""
+
+    value: int
 
 
 def answer(question: str, given: dict[str, Any]) -> Any:
@@ -36,6 +44,8 @@ def answer(question: str, given: dict[str, Any]) -> Any:
             return given
         case "processors":
             return os.sched_getaffinity(0)
+        case "model":
+            return Unbuilt(value=1).value
         case _:
             os.kill(os.getpid(), signal.Signals[question])
             return None
@@ -115,6 +125,35 @@ def test_what_questions_share_is_sent_once_to_each_process(process: BoundedProce
         process.ask("SIGKILL")
     assert process.ask("given", shared=shared) == {"shared": "value"}
     assert Sent.times == 2
+
+
+class AskedLock:
+    """Lock that another thread holds until somebody wants it."""
+
+    def __init__(self) -> None:
+        self._lock, self._wanted, held = threading.RLock(), threading.Event(), threading.Event()
+
+        def hold() -> None:
+            with self._lock:
+                held.set()
+                self._wanted.wait()
+
+        threading.Thread(target=hold).start()
+        held.wait()
+
+    def __enter__(self) -> None:
+        self._wanted.set()
+        self._lock.acquire()
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
+
+
+def test_it_begins_while_no_other_thread_builds_a_model(
+    process: BoundedProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pydantic.main, "_rebuild_lock", AskedLock())
+    assert process.ask("model") == 1
 
 
 def test_it_works_on_the_processors_of_who_asks(process: BoundedProcess) -> None:

@@ -163,6 +163,21 @@ def test_contention_takes_both(
     assert contention.seconds == pytest.approx(expected)
 
 
+@pytest.mark.parametrize(
+    ("allowed", "seconds", "said"),
+    [
+        (600, 554.4, "it took more than 600 s, most of them waiting for processors that others used"),
+        (600, 290, "it took more than 600 s"),
+        (3, 2.9, "it took more than 3 s"),
+    ],
+)
+def test_a_timeout_says_when_others_made_the_run_slow(allowed: float, seconds: float, said: str) -> None:
+    source: Any = SimpleNamespace(pressure=lambda: 0.0)
+    contention = Contention([0], source, 0.0)
+    contention.seconds = seconds
+    assert contention.overrun(allowed) == said
+
+
 @pytest.mark.parametrize("sizes", [[10], [5000], [100] * 100, [1] * 20000, [9000, 3, 9000]])
 def test_bounded_log(tmp_path: Path, sizes: list[int]) -> None:
     path = tmp_path / "log"

@@ -31,14 +31,14 @@ def check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Chec
     monkeypatch.chdir(tmp_path)
     workshop = load_workshop()
 
-    def look(*texts: str, strict: bool = True) -> Checked:
+    def look(*texts: str, strict: bool = True, misfits: bool = False) -> Checked:
         paths = [
             tmp_path.relative_to(tmp_path) / f"{letter}.yaml"
             for letter, _ in zip("abcd", texts, strict=False)
         ]
         for path, text in zip(paths, texts, strict=True):
             path.write_text(text, encoding="utf-8")
-        return check_files(paths, workshop, strict=strict)
+        return check_files(paths, workshop, strict=strict, misfits=misfits)
 
     return look
 
@@ -76,7 +76,7 @@ def test_mistakes_of_all_stages_are_told_together(check: Callable[..., Checked])
         ["a.yaml:14", "spec.matrix.1.vals", "unknown field 'vals'; did you mean 'values'?"],
         ["a.yaml:15", "spec.matrix[2].values[0]", "parameters.maxRange"],
         ["a.yaml:16", "spec.matrix[3].values[0]", "sensors"],
-        ["a.yaml:17", "spec.include[0].retries", "Input should be a valid integer, found 'x'"],
+        ["a.yaml:17", "spec.include[0].retries", "must be a whole number, found 'x'"],
     ]
 
 
@@ -95,6 +95,16 @@ def test_files_are_told_in_their_order_with_all_that_is_wrong_in_each(check: Cal
     ]
     assert checked.problems[3].startswith("a.yaml:11: spec: parameters.nope: kiss-icp has no parameter")
     assert [sweep.name for sweep, _ in checked.plans] == ["s"]
+
+
+def test_a_plan_of_settings_that_do_not_fit_is_made_and_says_so(check: Callable[..., Checked]) -> None:
+    unknown = "  - {path: algorithm, values: [kiss-icp, somebody-elses]}\n"
+    matrix = f"  matrix:\n{unknown}  - {{path: parameters.maxRange, values: [-1, 30]}}\n"
+    checked = check(manifest(TEMPLATE + matrix), strict=False, misfits=True)
+    assert [len(points) for _, points in checked.plans] == [4]
+    assert not checked.problems
+    (told,) = checked.misfits
+    assert told.startswith("a.yaml:8: spec.matrix[1].values[0]: parameters.maxRange: -1 is below")
 
 
 MISSPELT_AXIS = "  matrix: [{path: parameter.maxRange, values: [5]}]\n"

@@ -39,7 +39,7 @@ MANY = "matrix: [{path: seed, range: {from: 1, to: 400, step: 1}}, {path: retrie
         ("template: {spec: {resources: {memory: 4 GB}}}", "expected a quantity such as 2, 500m or 4Gi"),
         (
             "template: {spec: {resources: {exclusiveNodes: 2}}}",
-            "spec.template.spec.resources.exclusiveNodes: Input should be a valid boolean",
+            "spec.template.spec.resources.exclusiveNodes: must be true or false",
         ),
         (
             "exclusiveNodes: true",
@@ -52,14 +52,20 @@ MANY = "matrix: [{path: seed, range: {from: 1, to: 400, step: 1}}, {path: retrie
         ("matrix: [{path: input.remap.lft, values: [a]}]", "unknown role 'lft'; did you mean 'left'?"),
         ("matrix: [{path: repetition, values: [1]}]", "use spec.repetitions"),
         (
+            "matrix: [{path: priorityClassName, values: [low, high]}]",
+            "spec.matrix[0].values[0]: results don't depend on it, so combinations can't differ in it; use",
+        ),
+        ("include: [{seed: 2, priorityClassName: high}]", "spec.include[0].priorityClassName: results don't"),
+        ("matrix: [{path: cancel, values: [false, true]}]", "leave them out by spec.exclude"),
+        (
             "matrix: [{path: input.frameRate, values: ['20']}]",
-            "spec.matrix[0].values[0]: Input should be a valid",
+            "spec.matrix[0].values[0]: must be",
         ),
         (
             "matrix: [{path: input.frameRate, values: [5, -1]}]",
-            "spec.matrix[0].values[1]: Input should be greater",
+            "spec.matrix[0].values[1]: must be greater",
         ),
-        ("matrix: [{path: seed, values: [1, true]}]", "valid integer, found True"),
+        ("matrix: [{path: seed, values: [1, true]}]", "whole number, found True"),
         (
             "matrix: [{path: parameters.a, values: [[1, 2]]}]",
             "a parameter is a number, a text, true, false or null",

@@ -31,16 +31,21 @@ if TYPE_CHECKING:
 HERE = Path(__file__).parent
 KEYFRAMES = {"topic": "/actor/keyframes", "type": "Path"}
 PATIENCE = {
-    "deaf": {"ready": "5s"},
-    "picture": {"ready": "5s"},
-    "latched": {"ready": "5s"},
+    "deaf": {"ready": "15s"},  # a busy machine takes 5 s until a node of Python subscribes to anything
+    "picture": {"ready": "15s"},
+    "latched": {"ready": "15s"},
     "stubborn": {"end": "1s"},
 }
 TOPICS = {"Odometry": "/elsewhere/points", "PoseStamped": "~/cloud", "Path": "cloud"}
 """Topics on which nodes look for scans, /points else; those of ROS 1 know the first alone."""
 EVALUATED = {"wall", "stampless"}
-SECTION = {"slow": "actor", "stranger": "slam"}
-"""Nodes that the params file of an act is for; the node's name is actor."""
+SECTION = {
+    "slow": ("actor", "delay"),
+    "stranger": ("slam", "delay"),
+    "misspelt": ("/**", "delayy"),
+    "liberal": ("actor", "delayy"),
+}
+"""Nodes that the params file of an act is for, and what it sets; the node is actor, and declares delay."""
 
 
 @pytest.fixture(scope="session")
@@ -75,7 +80,7 @@ def node_spec(act: str, version: int) -> dict[str, Any]:
         if act not in {"Odometry", "forgetful", "wall"}:
             node["arguments"] = "Ros"
         if act in SECTION:
-            text = f"{SECTION[act]}:\n  ros__parameters:\n    delay: 0.06\n"
+            text = "{}:\n  ros__parameters:\n    {}: 0.06\n".format(*SECTION[act])
             spec["files"] = [{"path": "node.yaml", "template": text}]
             node["parameters"] = "node.yaml"
     name = f"node{version}-{act.lower()}"

@@ -115,7 +115,7 @@ if act == "stubborn":
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
 own = [Parameter("use_sim_time", value=True)] if act == "Odometry" else []  # others are told, or forget it
-node = rclpy.create_node("actor", parameter_overrides=own)
+node = rclpy.create_node("actor", parameter_overrides=own, allow_undeclared_parameters=act == "liberal")
 node.declare_parameter("delay", 0.0)
 publisher = node.create_publisher(kinds.get(act, Odometry), "/tf" if act == "TF" else "/actor/poses", 1000)
 optimised = node.create_publisher(PathMessage, "/actor/keyframes", 100)

@@ -83,15 +83,18 @@ def test_what_a_shell_tells_ros_changes_nothing(stage2: Stage, monkeypatch: pyte
 @contextmanager
 def intruder(stage: Stage) -> Iterator[None]:
     """Have a foreign node come to the domain of the next run."""
-    known = set(stage.home.path.glob("runs/*/*/player/node.json"))
+    known = set(stage.home.path.glob("runs/*/*/process.json"))
     started: list[subprocess.Popen[bytes]] = []
 
     def come() -> None:
         deadline = time.monotonic() + 60.0
         while time.monotonic() < deadline:
-            for told in set(stage.home.path.glob("runs/*/*/player/node.json")) - known:
-                folder = told.parents[1]
-                variables = os.environ | json.loads(told.read_text())["variables"]
+            # There when the algorithm has been started, and all that it needs.
+            for process in set(stage.home.path.glob("runs/*/*/process.json")) - known:
+                folder = process.parent
+                variables = (
+                    os.environ | json.loads((folder / "player" / "node.json").read_text())["variables"]
+                )
                 python = json.loads((folder / "supervisor.json").read_text())["argv"][0]
                 started.append(subprocess.Popen([python, "-c", INTRUDER], env=variables))
                 return

@@ -173,6 +173,7 @@ FAILED = {"state": "Failed", "reason": "AlgorithmFailed", "message": "deaf"}
     ("report", "played"),
     [
         ({"state": "Ended"}, Played(True)),
+        ({"state": "Ended", "message": "odd"}, Played(True, None, "odd")),
         ({"state": "Playing"}, Played(False)),
         (FAILED, Played(False, "AlgorithmFailed", "deaf")),
         (FAILED | {"reason": "Because"}, Played(False, "SystemFault", "deaf")),
@@ -270,29 +271,3 @@ def test_a_request_of_another_version_is_said_to_be_one() -> None:
     known = {"poses": {"topic": "/p", "type": "Path"}, "frames": {"topic": "/f", "period": 1}}
     with pytest.raises(ValueError, match=r"whose image may be older than slamhive: .*'of_tomorrow'"):
         PlayRequest.from_json(json.dumps(known | {"of_tomorrow": 1}))
-
-
-@pytest.mark.parametrize(
-    ("template", "nodes"),
-    [
-        ("slam:\n  ros__parameters:\n    voxel: {{ algorithm }}\n", ["slam"]),
-        (
-            "/**:\n  ros__parameters: # all\n    a: 1\nlab:\n  back:\n    ros__parameters:\n      b: 2\n",
-            ["/**", "lab/back"],
-        ),
-        ("{{ algorithm }}:\n  ros__parameters:\n    a: 1\n", []),
-        ("slam: {ros__parameters: {a: 1}}\n", []),
-    ],
-)
-def test_nodes_that_a_params_file_is_for(template: str, nodes: list[str]) -> None:
-    body = spec().model_dump(exclude={"ros1"}, exclude_none=True) | {
-        "recording": ["Mcap"],
-        "command": ["node"],
-        "files": [{"path": "node.yaml", "template": template}],
-        "ros2": {"poses": POSES, "arguments": "Ros", "parameters": "node.yaml"},
-    }
-    request = play_request(
-        AlgorithmSpec.model_validate(body), configuration(), run="/run", folder="/player", mark="A=b"
-    )
-    assert request is not None
-    assert request.parameters_of == nodes

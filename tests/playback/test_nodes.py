@@ -112,7 +112,7 @@ def test_what_was_heard_of_a_node_that_ends_before_its_recording_is_kept(
 @pytest.mark.parametrize(
     ("act", "message"),
     [
-        ("deaf", "the node did not subscribe to /points in 5 s"),
+        ("deaf", "the node did not subscribe to /points in 15 s"),
         ("crash", "lost the map"),
         ("astray", "no poses on /actor/elsewhere"),
         ("astray", "/actor/poses (nav_msgs/"),
@@ -123,6 +123,8 @@ def test_a_node_that_fails(play: Callable[..., RunRecord], act: str, message: st
     record = play(act)
     assert (record.phase, record.reason) == ("Failed", "AlgorithmFailed")
     assert message in (record.message or "")
+    assert record.usage is not None
+    assert record.usage.includes_reader is False
 
 
 def test_nothing_is_left_and_waiting_does_not_count(play: Callable[..., RunRecord]) -> None:

@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.parametrize("play", [2], indirect=True, ids=["ros2"])
 
 SENTENCES = {
-    "deaf": "the node did not subscribe to /points in 5 s; it subscribes to /camera/image "
+    "deaf": "the node did not subscribe to /points in 15 s; it subscribes to /camera/image "
     "(ros2.topics in its Algorithm has its names)",
-    "picture": "the node did not subscribe to /points as sensor_msgs/msg/PointCloud2 in 5 s; "
+    "picture": "the node did not subscribe to /points as sensor_msgs/msg/PointCloud2 in 15 s; "
     "it subscribes as sensor_msgs/msg/Image",
-    "latched": "the node did not subscribe to /points in a way that fits in 5 s; it asks for "
+    "latched": "the node did not subscribe to /points in a way that fits in 15 s; it asks for "
     "a durability that isn't offered (ros2.qos in its Algorithm)",
     "stranger": "ros2.parameters: the file is for slam, and the nodes are /actor, which take nothing of it; "
     "above ros__parameters stands a node's name, or /** for any",
@@ -55,6 +55,20 @@ def test_whether_a_node_takes_simulated_time_is_said(play: Callable[..., RunReco
     assert record.metrics["usesSimulatedTime"] is False
     assert record.frames is not None
     assert record.frames.processed == 30
+
+
+@pytest.mark.parametrize(
+    ("act", "said"),
+    [
+        ("misspelt", "no node declares delayy (did you mean delay?), which node.yaml sets: ROS 2 ignored it"),
+        ("liberal", ""),
+    ],
+)
+def test_a_parameter_that_no_node_declares_is_said(
+    play: Callable[..., RunRecord], act: str, said: str
+) -> None:
+    record = play(act)
+    assert (record.phase, record.message or "") == ("Succeeded", said)
 
 
 @pytest.mark.slow

@@ -34,6 +34,7 @@ def told(*runs: tuple[Any, ...]) -> str:
             "outcome": None if run[1] is None else "Tracked",
             "ate.rmse": run[1],
             CPU: run[2],
+            "parameters.k": run[4] if len(run) > 4 else None,
         }
         for number, run in enumerate(runs)
     ]
@@ -91,3 +92,11 @@ def test_each_of_some_recordings_has_its_own_winner_and_long_names_stay_whole() 
     assert ALONE not in said
     many = told(*(("a", 0.1, 1.0, f"d{number}") for number in range(9)))
     assert many.endswith("The table has 6 more datasets.")
+
+
+def test_settings_that_an_algorithm_does_not_have_are_not_named() -> None:
+    said = told(("a", 0.02, 0.7, "hall", 5), ("a", 0.04, 0.7, "hall", 6), ("b", 0.09, 0.1))
+    assert said.startswith(
+        "On hall a with k 5 has the smallest error: ATE 0.02 m, for 7 times the CPU of the"
+    )
+    assert "the cheapest, b (ATE 0.09 m)" in said

@@ -252,12 +252,13 @@ def test_numbers_from_a_billionth_to_a_billion_stand_on_an_axis_that_can_be_read
     assert all(left.x1 < right.x0 for left, right in pairwise(ends))
 
 
-def test_long_names_in_a_legend_fit_and_stay_apart(records: Any, fill: Fill) -> None:
+@pytest.mark.parametrize("word", ["a-very-long-name-of-an-algorithm-", "m"])
+def test_long_names_in_a_legend_fit_and_stay_apart(records: Any, fill: Fill, word: str) -> None:
     import matplotlib as mpl
 
     from slamhive.figures.drawing import Drawing
 
-    names = [f"{'a-very-long-name-of-an-algorithm-' * 2}{end}"[-63:] for end in "1234"]
+    names = [f"{word * 62}{end}"[-63:] for end in "1234"]
     home = fill(
         records.run(number, spec={"algorithmRef": {"name": f"{name}{middle}{'x' * 40}"[-63:]}})
         for number, (name, middle) in enumerate((name, middle) for name in names for middle in "ab")
@@ -420,6 +421,35 @@ def test_an_ecdf_ends_where_runs_failed(study: Path) -> None:
     assert "a line may end below 1" in found.notes[0]
 
 
+def test_every_line_of_an_ecdf_goes_on_to_the_end_of_the_axis(study: Path) -> None:
+    from slamhive.figures.drawing import Drawing
+
+    found = made(study, FigureKind.ECDF, by="algorithm", where="dataset == 'dataset-2'", facet="dataset")
+    axes = Drawing(found, WIDTHS["ieee-column"]).draw().axes[0]
+    assert [line.get_xdata()[-1] for line in axes.lines if len(line.get_xdata()) > 2] == [
+        axes.get_xlim()[1]
+    ] * 2
+
+
+def test_a_front_says_who_has_no_mark_as_none_of_its_runs_counts(records: Any, fill: Fill) -> None:
+    home = fill([records.run(0), records.run(1, results=[records.result(outcome=Outcome.LOST)])])
+    caption = ". ".join(made(home, FigureKind.PARETO, x="usage.cpu.meanCores", by="algorithm").notes)
+    assert "without a mark, as no run that counts has a cost: " in caption
+    assert "crossed above" not in caption
+    assert "n = 1 tracked run of 2; left out: 1 Lost" in caption
+
+
+def test_lines_have_ticks_at_the_values_that_are_drawn_alone(records: Any, fill: Fill) -> None:
+    def run(number: int, dataset: str, size: float) -> Any:
+        spec = {"datasetRef": {"name": dataset}, "parameters": {"voxelSize": size}}
+        return records.run(number, spec=spec)
+
+    home = fill([run(0, "hall", 1.0), run(2, "hall", 2.0), run(4, "yard", 1.5)])
+    found = made(home, FigureKind.LINES, x="voxelSize")
+    assert [panel.title for panel in found.panels] == ["hall"]
+    assert found.x.ticks == (1.0, 2.0)
+
+
 def test_runs_that_the_machine_ended_are_in_no_ecdf(records: Any, fill: Fill) -> None:
     home = fill([*(records.run(2 * number) for number in range(6)), records.failed(12, reason="SystemFault")])
     found = made(home, FigureKind.ECDF, by="algorithm", facet="")
@@ -450,8 +480,9 @@ def test_where_large_is_good_shares_and_fronts_turn_round(records: Any, fill: Fi
     home = fill([*runs, records.failed(6, spec={"datasetRef": {"name": "hall"}})])
     found = made(home, FigureKind.ECDF, x="points.share", by="algorithm")
     first, _ = marks(found, Line)
-    assert first.x.tolist() == pytest.approx([0.7, 0.7, 0.6, 0.5, 0.5])
-    assert first.y.tolist() == pytest.approx([0, 0.25, 0.5, 0.75, 0.75])
+    assert first.x.tolist() == pytest.approx([0.7, 0.7, 0.6, 0.5])
+    assert first.y.tolist() == pytest.approx([0, 0.25, 0.5, 0.75])
+    assert first.onward == -1
     assert "have at least this share of control points met" in found.notes[0]
     front = made(home, FigureKind.PARETO, x="usage.cpu.seconds", y="points.share")
     way = next(mark for mark in marks(front, Line) if mark.series < 0)

@@ -133,3 +133,26 @@ def test_names_of_columns_are_cleaned_as_cells_are(
     assert {sign for sign in out + err if not sign.isprintable()} == {"\n"}
     if "csv" in options:
         assert {line.count(",") for line in out.splitlines()} == {out.splitlines()[0].count(",")}
+
+
+def test_settings_without_a_column_are_counted_and_a_wide_table_says_how_to_narrow_it(
+    records: Any, fill: Fill, slamhive: Slamhive
+) -> None:
+    names = [f"knob{number:02}" for number in range(30)]
+    home = fill([records.run(number, parameters=dict.fromkeys(names, 0.5 + number)) for number in (0, 6)])
+    assert "24 more settings varied: --columns shows them" in slamhive(home, "results", "list")[2]
+    code, out, err = slamhive(home, "results", "table")
+    assert (code, "knob29" in out) == (0, True)
+    assert " columns: --rows NAME,… chooses among them" in err
+    narrow = slamhive(home, "results", "table", "--rows", "algorithm,knob00")
+    assert "chooses among them" not in narrow[2]
+    assert " 6.5 " in narrow[1]
+
+
+def test_whole_values_of_a_setting_stand_without_a_point(
+    records: Any, fill: Fill, slamhive: Slamhive
+) -> None:
+    values = (0.1, 1.0, 1e9)
+    home = fill([records.run(6 * place, parameters={"size": value}) for place, value in enumerate(values)])
+    table = slamhive(home, "results", "table")[1].splitlines()
+    assert {line.split()[0] for line in table} >= {"0.1", "1", "1000000000"}

@@ -136,8 +136,8 @@ def test_heads_and_footnotes_say_what_their_values_are(records: Any, fill: Calla
 
     home = fill([run(0, 7.5), run(12, 15.0), run(24, 15.0)])
     text = latex(table(home, columns=("input.frameRate",), rows=("sensors", "parameters.loop")))
-    assert r"Sensors & loop & frame rate 7.5 Hz & frame rate 15.0 Hz" in text
-    assert "Not tracked: sensors stereo, loop true, frame rate 15.0 Hz: 1 OutOfMemory." in text
+    assert r"Sensors & loop & frame rate 7.5 Hz & frame rate 15 Hz" in text
+    assert "Not tracked: sensors stereo, loop true, frame rate 15 Hz: 1 OutOfMemory." in text
     turned = latex(table(home, rows=("input.frameRate", "input.resolution"), columns=()))
     assert "Frame rate [Hz] & Resolution & ATE" in turned
 
@@ -345,6 +345,7 @@ def test_the_command_writes_both_forms(study: Path, slamhive: Callable[..., Any]
         (["-m", "algorithm"], "--metric: algorithm: a column of numbers is needed"),
         (["--rows", "algo"], "--rows: unknown column 'algo'"),
         (["--columns", "datset"], "--columns: unknown column 'datset'; did you mean 'dataset'?"),
+        (["--columns", "cpu.seconds"], "--columns: usage.cpu.seconds is a result"),
         (["--where", "coverage > 2"], "no run is meant"),
         (["--where", "coverage >"], "condition, character 11"),
         (["--sweep", "x"], "--sweep: unknown sweep 'x'; known: later, study"),

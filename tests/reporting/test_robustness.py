@@ -12,7 +12,7 @@ import pytest
 
 from slamhive.analysis.searches.seen import runs_seen
 from slamhive.archive import Archive, SweepRecord
-from slamhive.model.results import Outcome, Phase, Reason, Result, RunRecord
+from slamhive.model.results import Outcome, Phase, Provenance, Reason, Result, RunRecord
 from slamhive.model.search import Search
 
 if TYPE_CHECKING:
@@ -138,6 +138,37 @@ def test_two_namespaces_with_a_sweep_of_one_name_are_told_apart(slamhive: Slamhi
         DROP: (0.6, 0.9),
         NOISE: (0.2, 0.4),  # where it is lost, though its error exceeds 0.5 m beyond 0.4 alone
     }
+
+
+def test_searches_that_share_their_runs_keep_their_rules(slamhive: Slamhive, tmp_path: Path) -> None:
+    values = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9)
+    with Archive.open(f"sqlite:///{tmp_path / 'archive.sqlite'}") as archive:
+        for name, rule in (("tracks", {}), ("near", {"failing": {"metric": "ate.rmse", "above": 0.35}})):
+            record = sweep_record(name, DROP)
+            archive.put_sweep(record.replace(spec=record.spec | {"search": record.spec["search"] | rule}))
+            runs = {value: of_run(name, "kiss-icp", DROP, value, 1) for value in values}
+            archive.put_runs(
+                run.model_copy(update={"provenance": Provenance(content_hash=f"content-{value}")})
+                for value, run in runs.items()
+            )
+    code, text, _ = slamhive(tmp_path, "results", "robustness", "--format", "csv")
+    assert code == 0
+    told = {row["failing"]: (row["passes"], row["fails"]) for row in csv.DictReader(io.StringIO(text))}
+    assert told == {"not Tracked": ("0.8", "0.9"), "ate.rmse > 0.35": ("0.2", "0.4")}
+    code, text, said = slamhive(tmp_path, "results", "robustness")
+    assert said.splitlines()[0] == "n = 6 runs on hall, lidar"
+    one = slamhive(tmp_path, "results", "robustness", "--failing", "ate.rmse > 0.35", "--format", "json")[1]
+    assert [(row["passes"], row["runs"]) for row in json.loads(one)] == [(0.2, 6)]
+
+
+def test_a_run_of_two_axes_counts_once(slamhive: Slamhive, tmp_path: Path) -> None:
+    with Archive.open(f"sqlite:///{tmp_path / 'archive.sqlite'}") as archive:
+        for value in (0.0, 0.2, 0.4):
+            run = of_run("grid", "kiss-icp", DROP, value, 0)
+            both = {"pace": "Lockstep", "perturb": {"lidar": {"dropPoints": value, "rangeNoise": value}}}
+            archive.put_run(run.model_copy(update={"spec": dict(run.spec) | {"input": both}}))
+    code, _, said = slamhive(tmp_path, "results", "robustness", "-x", f"{DROP},{NOISE}")
+    assert (code, said.splitlines()[0]) == (0, "n = 3 runs on hall, lidar")
 
 
 @pytest.mark.parametrize(

@@ -83,6 +83,17 @@ def test_the_command_repeats_the_run(
     assert "Its files are not here" in text
 
 
+def test_settings_say_of_what_they_are(
+    records: Any, fill: Callable[..., Path], slamhive: Callable[..., Any]
+) -> None:
+    spec = {"resources": {"memory": "4Gi"}}
+    run = records.run(3, parameters={"k": 7}, spec=spec, labels={"noise": "none"})
+    text = page(fill([run]), slamhive, "--run", "run-003")
+    told = [("parameters", "k 7"), ("resources", "memory 4Gi"), ("labels", "noise none")]
+    for name, value in told:
+        assert re.search(rf"<dt>{name}</dt><dd>[^<]*{value}", text), name
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [

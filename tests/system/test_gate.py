@@ -119,6 +119,24 @@ def test_another_processor_leaves_load_out_and_one_repetition_says_what_it_hides
     assert "all settings of the baseline ran once" in problems
 
 
+def test_the_wall_time_of_what_has_no_latency_is_looked_at_beside_nodes(system: Any, written: Path) -> None:
+    node, other = read_baseline(written).cells
+    node = node.replace(values=node.values | {"metrics.latencySeconds.median": [0.1, 0.1]})
+    cells = [
+        cell.replace(values=cell.values | {"usage.undisturbedSeconds": [1.0, 1.0]}) for cell in (node, other)
+    ]
+    read_baseline(written).replace(cells=cells).write(written)
+    _, _, problems = system("gate", "s.yaml", "--baseline", written, "--repetitions", "1")
+    assert "latency p50, undisturbed wall time: recorded on Z80" in problems
+
+
+def test_a_baseline_of_another_part_of_the_recording_is_refused(system: Any, recorded: Path) -> None:
+    sweep = system.sweep("s", {"parameters": {}, "input": {"duration": "5s"}}, matrix=AXIS)
+    code, _, problems = system("gate", sweep, "--baseline", recorded)
+    assert code == 2
+    assert 'base.json: number 1: input.duration: recorded with none, here "5s"' in problems
+
+
 def test_what_cannot_be_compared_is_refused(system: Any, written: Path) -> None:
     other = system.sweep("s", {"parameters": {}}, matrix=[{"path": "parameters.number", "values": [3]}])
     for words, told in (

@@ -208,6 +208,16 @@ def test_an_own_result_is_equal_better_or_worse(
         ({}, {"frame": "left camera"}, {}, "poses of the left camera are measured"),
         ({}, {"statistic": "Best", "runs": 5}, {}, "the best of 5 runs"),
         ({}, {"units": {"ate.rmse": "m"}}, {}, "more than 10 times apart; is the unit the same?"),
+        ({"input.perturb.lidar.rain": 3.0}, {}, {}, "own runs had their frames changed on purpose"),
+        ({"input.preparedBy": "masks"}, {}, {}, "own runs had their frames changed on purpose"),
+        ({}, {"poses": "Key-frames"}, {}, "measured are Key-frames, here all poses"),
+        ({}, {"poses": "only keyframes"}, {}, "measured are only keyframes, here all poses"),
+        (
+            {"ate.rmse": 0.5},
+            {"rows": [{**ROW, "spreads": {"ate.rmse": 20.0}}]},
+            {},
+            "standard deviation 0.2 is larger than its 0.12; is the unit the same?",
+        ),
     ],
 )
 def test_what_was_measured_differently_is_never_reproduced(
@@ -218,6 +228,18 @@ def test_what_was_measured_differently_is_never_reproduced(
     assert verdict == Agreement.NOT_COMPARABLE
     assert sentence.startswith("not comparable: ")
     assert words in sentence
+
+
+@pytest.mark.parametrize(
+    ("published", "own", "is_same"),
+    [("5", 5.0, True), (5, "5.0", True), ("on", "On", True), (True, 1, False), ("true", True, True)],
+)
+def test_a_setting_is_known_however_it_is_written(
+    written: Any, published: Any, own: Any, is_same: bool
+) -> None:
+    row = {**ROW, "parameters": {"k": published}}
+    verdict, _ = verdict_on(written, [{"parameters.k": own}], {"rows": [row]})
+    assert verdict == (Agreement.WITHIN if is_same else Agreement.NOT_RUN)
 
 
 def test_another_system_has_no_verdict(written: Any) -> None:
@@ -315,6 +337,22 @@ def test_lines_of_numbers_are_rows(written: Any) -> None:
         ({"tables": [{"place": "T", **LINES, "sequences": ["a"]}]}, "numbers of s: 2 for 1 sequences"),
         ({"tables": [{"place": "T", **LINES, "column": None}]}, "lines: column and sequences say"),
         ({"lengths": {"Hall_01": -1}}, "lengths.Hall_01"),
+        (
+            {"families": {"halls": ["Hall_01"], "euroc": ["MH_01_easy"]}, "lengths": {"MH_01_easy": 8}},
+            "lengths: MH_01_easy of euroc is 80.6 m long, not 8",
+        ),
+        (
+            {"tables": [{**TABLE, "rows": [{**ROW, "values": {"ate.rmse": 9, "ate.mean": 12}}]}]},
+            "Hall_01: ate.mean 12 is larger than ate.rmse 9, which is never smaller; were columns or units",
+        ),
+        (
+            {"tables": [{"place": "T", **LINES, "column": "ate.rms"}]},
+            "T: unknown column 'ate.rms'; did you mean 'ate.rmse'?",
+        ),
+        (
+            {"tables": [{"place": "T", **LINES, "lines": [{"system": "s", "numbers": [-1, None]}]}]},
+            "T: s on a: ate.rmse: expected a number from 0 on, found -1",
+        ),
     ],
 )
 def test_a_table_with_a_slip_of_the_pen_is_refused(
@@ -329,6 +367,12 @@ def test_a_table_with_a_slip_of_the_pen_is_refused(
     assert not (home / "published" / file.name).exists()
 
 
+@pytest.mark.parametrize("column", ["rpe[11].rmse", "health.seconds", "beside.online.rpe[0].rmse"])
+def test_a_column_that_is_like_another_is_none_of_its_misspellings(written: Any, column: str) -> None:
+    table = {"place": "T", **LINES, "column": column}
+    assert column in read_published(written({**NUMBERS, "tables": [table]})).tables[0].rows[0].values
+
+
 def test_a_family_that_may_be_misspelt_is_remarked(
     written: Any, run_command: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -336,6 +380,17 @@ def test_a_family_that_may_be_misspelt_is_remarked(
     code, _, err = run_command("published", "add", written({**NUMBERS, "families": {"eurok": ["Hall_01"]}}))
     assert code == 0
     assert "did you mean 'euroc'?" in err
+
+
+def test_a_length_that_is_another_sequences_is_remarked(
+    written: Any, run_command: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SLAMHIVE_HOME", str(tmp_path / "home"))
+    rows = [{**ROW, "dataset": "MH_01_easy"}]
+    content = {**NUMBERS, "families": {}, "lengths": {"MH_01_easy": 5.8}, "tables": [{**TABLE, "rows": rows}]}
+    code, _, err = run_command("published", "add", written(content))
+    assert code == 0
+    assert "MH_01_easy of euroc is 80.6 m long, not 5.8; is another sequence meant?" in err
 
 
 AVERAGES = """

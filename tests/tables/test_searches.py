@@ -17,7 +17,7 @@ from searched import ERROR, fill_search, searched, sweep_of
 from slamhive.analysis.grouping import aggregate, without_chosen
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.searches.seen import records_frame
-from slamhive.archive import Archive, CatalogEntry
+from slamhive.archive import Archive, CatalogEntry, SweepRecord
 from slamhive.cli.main import main
 from slamhive.figures.asking import FigureKind, Wish
 from slamhive.figures.searches import search
@@ -119,15 +119,21 @@ def test_every_failed_setting_says_so(told: Any) -> None:
     failed = [one for one in told("tune").trials if one.values["parameters.voxelSize"] > 1.7]
     assert failed
     for one in failed:
-        assert (one.figures, one.failed, one.dropped) == ((None,), 1, "all of its 1 runs failed")
+        assert (one.figures, one.failed, one.dropped) == ((None,), 1, "its one run failed")
 
 
 def test_a_grid_is_no_search(home: Path) -> None:
     with Archive.open(f"sqlite:///{home / 'archive.sqlite'}", read_only=True) as archive:
         record = archive.sweeps()[0]
     spec = {name: value for name, value in record.spec.items() if name != "search"}
-    with pytest.raises(InputError, match="is no search"):
-        plan_of(record.replace(spec=spec))
+    for other in (spec, {}):  # trajectories of others have no spec
+        with pytest.raises(InputError, match="is no search"):
+            plan_of(record.replace(spec=other))
+
+
+def test_the_search_of_somebody_else_is_read(home: Path) -> None:
+    record = _record(home, "tune")
+    assert len(plan_of(record.replace(name="tune @lab"))) == len(plan_of(record))
 
 
 def test_the_yaml_of_the_best_is_the_run_that_was_made(
@@ -255,6 +261,16 @@ def test_of_a_threshold_the_values_are_told_and_none_is_the_best() -> None:
         if trial.failed == 1
     }
     assert failing == {True}
+
+
+def test_of_a_threshold_it_is_said_where_its_answer_is(tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
+    body = sweep_of("edge").model_dump(mode="json", by_alias=True, exclude_unset=True)
+    body["spec"]["search"] = {"method": "Threshold", "axis": "parameters.voxelSize", "tolerance": 0.2}
+    with Archive.open(f"sqlite:///{tmp_path / 'archive.sqlite'}") as archive:
+        archive.put_sweep(SweepRecord(uid="edge", name="edge", spec=body["spec"]))
+    for command, expected in (("show", 0), ("best", 2)):
+        code, out, err = run(capsys, tmp_path, monkeypatch, "search", command, "edge")
+        assert (code, "slamhive results robustness --sweep edge" in out + err) == (expected, True)
 
 
 def test_a_figure_says_what_its_curve_averaged(told: Any) -> None:

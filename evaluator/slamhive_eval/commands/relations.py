@@ -39,10 +39,7 @@ def run(asked: argparse.Namespace) -> int:
     truth = relations.read_relations(asked.relations)
     estimate = files.read_trajectory(asked.estimate, unsorted="sort" if asked.sort else "error")
     found = relations.evaluate_relations(
-        truth,
-        estimate,
-        max_difference_seconds=asked.max_diff,
-        interpolate_gap_seconds=asked.interpolate,
+        truth, estimate, max_difference_seconds=asked.max_diff, interpolate_gap_seconds=asked.interpolate
     )
     if not found.count:
         times = np.concatenate((truth.begin, truth.end))

@@ -26,9 +26,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--save-results", metavar="ZIP", help="results for evo_res; of several estimates, into this folder"
     )
     group.add_argument(
-        "--save-errors",
-        metavar="NPZ",
-        help="error arrays for numpy; of several estimates, into this folder",
+        "--save-errors", metavar="NPZ", help="error arrays for numpy; of several estimates, into this folder"
     )
     group.add_argument("--csv", metavar="FILE", help="the statistics as comma-separated values")
     group.add_argument("--latex", metavar="FILE", help="the statistics as a LaTeX table")

@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 from decimal import Decimal, InvalidOperation
 from typing import TYPE_CHECKING, NamedTuple
@@ -17,6 +16,7 @@ from slamhive_eval import rotation
 from slamhive_eval.errors import FileError, NoPosesError, OptionError
 from slamhive_eval.formats.columns import ANGLES, MATRIX_COLUMNS, POSITION, QUATERNION
 from slamhive_eval.formats.kitti_files import check_matrices
+from slamhive_eval.formats.tables import cells
 from slamhive_eval.formats.textfiles import (
     DECIMAL_COMMA,
     decode,
@@ -26,6 +26,7 @@ from slamhive_eval.formats.textfiles import (
     lines_of,
     parse_table,
     read_bytes,
+    shorten,
 )
 from slamhive_eval.trajectory import Trajectory, find_fault
 
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
 _EXPONENTS = {"s": 0, "ms": -3, "us": -6, "ns": -9}
 _LARGEST_ANGLE = 6.5
 _NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
-_LONGEST_WORD = 30
 
 
 def read_columns(path: str | Path, form: TableFormat, times: str | Path | None = None) -> Trajectory:
@@ -106,7 +106,7 @@ def _rows(path: str | Path, text: str, form: TableFormat) -> Iterator[_Row]:
 
 
 def _cut(content: str, delimiter: str) -> list[str]:
-    words = next(csv.reader([content], delimiter=delimiter)) if '"' in content else content.split(delimiter)
+    words = cells(content, delimiter) if '"' in content else content.split(delimiter)
     return [word.strip() for word in words]
 
 
@@ -128,11 +128,10 @@ def _numbers(path: str | Path, rows: list[_Row], form: TableFormat) -> dict[str,
 def _no_number(path: str | Path, rows: list[_Row], form: TableFormat, name: str, places: range) -> FileError:
     """The error for the first word of some columns that is no number."""
     row, word = next((row, row.words[k]) for row in rows for k in places if not is_number(row.words[k]))
-    shown = word if len(word) <= _LONGEST_WORD else word[:_LONGEST_WORD] + "…"
     hint = f"; {DECIMAL_COMMA}" if has_decimal_comma(word) else ""
     if row is rows[0] and not hint:
         hint = f"; if the table begins with the names of its columns, skip {form.skip + 1}"
-    return FileError(path, f"{shown!r} in the column {name} is no number{hint}", row.number)
+    return FileError(path, f"{shorten(word)} in the column {name} is no number{hint}", row.number)
 
 
 def _stamps(path: str | Path, rows: list[_Row], form: TableFormat, times: str | Path | None) -> FloatArray:

@@ -19,9 +19,12 @@ from slamhive_eval.formats.textfiles import (
     has_decimal_comma,
     head,
     is_number,
+    is_separated,
     known_rows,
     parse_table,
     read_bytes,
+    shorten,
+    words_of,
 )
 from slamhive_eval.trajectory import SMALLEST_QUATERNION_COMPONENT, Trajectory, find_fault
 
@@ -40,7 +43,14 @@ _COLUMNS: dict[str, tuple[int, str]] = {
 
 _TUM_ORDER = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 _EUROC_ORDER = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
+_USUAL = {"tum": (_TUM_ORDER, 1.0), "euroc": (_EUROC_ORDER, 1e9)}
+"""Fields of the first columns, and units of time a second."""
 _FIRST_NANOSECOND_STAMP = 1e14
+_FIRST_UNIX_STAMP = 1e8
+_STAMPED_MATRIX = (
+    "found a time stamp and a 3×4 pose matrix a line, which is no known format: write the 12 numbers of the "
+    "matrix alone, as KITTI does, and the stamps in s to a file of times"
+)
 
 
 def read_trajectory(
@@ -82,11 +92,11 @@ def read_trajectory(
     if topic is not None:
         raise FileError(path, f"is no recording; only those have topics such as {topic!r}")
     data = read_bytes(path)
-    header = None
+    header, detected = None, file_format is None
     if file_format is None:
         file_format, header = ("kitti", None) if times is not None else _detect(path, head(data))
     if file_format == "csv":
-        return _from_table(path, data, header or tables.find_header(path, head(data)), unsorted)
+        return _from_table(path, data, header or _find_header(path, head(data)), unsorted)
     if file_format == "kitti":
         return kitti_files.parse_poses(path, data, times, sort=unsorted == "sort", by_index=by_index)
     table = parse_table(path, data, *_COLUMNS[file_format], extra=file_format == "euroc")
@@ -95,8 +105,12 @@ def read_trajectory(
         stamps, quaternions = table[:, 0] / 1e9, table[:, [5, 6, 7, 4]]
     else:
         stamps, quaternions = table[:, 0], table[:, 4:8]
+    nanoseconds = detected and file_format == "tum" and not (stamps <= _FIRST_NANOSECOND_STAMP).any()
+    stamps = stamps / 1e9 if nanoseconds else stamps
     rows = tables.Rows(stamps, table[:, 1:4], quaternions, oriented=True, covariances=None)
-    return _checked(path, data, rows, unsorted)
+    found = _checked(path, data, rows, unsorted)
+    # TUM's columns with EuRoC's stamps, as ORB-SLAM3 writes them.
+    return found.noted("its time stamps were taken for nanoseconds") if nanoseconds else found
 
 
 def read_estimate(
@@ -217,38 +231,56 @@ def read_text(path: str | Path) -> str:
     return decode(read_bytes(path))
 
 
+def _find_header(path: str | Path, text: str) -> tables.Header | None:
+    first = next(data_lines(text), None)
+    content = first[1] if first is not None else ""
+    return tables.find_header(path, text, content if any(map(is_number, words_of(content))) else None)
+
+
 def _detect(path: str | Path, text: str) -> tuple[Format, tables.Header | None]:
     first = next(data_lines(text), None)
     if first is None:
         raise NoPosesError(path)
     number, content = first
-    words = content.replace(",", " ").split()
+    words = words_of(content)
     numeric = any(map(is_number, words))
-    header = tables.find_header(path, text)
-    if header is not None and numeric and header.count != len(words):
-        header = None
-    # The usual columns in the usual order are read as ever, whatever stands above them.
-    if numeric and (header is None or header.order in (_TUM_ORDER, _EUROC_ORDER)):
-        counts = (
-            {kitti_files.COLUMNS} if header is not None else {kitti_files.COLUMNS, kitti_files.COLUMNS + 1}
-        )
-        if len(words) in counts and "," not in content:
-            return "kitti", None
-        covariances = header is not None and header.covariance
-        if len(words) == 8 or (len(words) > 8 and "," in content and not covariances):
-            nanoseconds = is_number(words[0]) and abs(float(words[0])) > _FIRST_NANOSECOND_STAMP
-            return "euroc" if nanoseconds and "," in content else "tum", None
+    header = tables.find_header(path, text, content if numeric else None)
+    if numeric:
+        found = _detect_numbers(path, number, words, header, separated=is_separated(content))
+        # Names above the usual columns in the usual order tell nothing new; above others they decide.
+        if found is not None and (header is None or (found in _USUAL and header.is_usual(*_USUAL[found]))):
+            return found, None
     if header is not None:
         return "csv", header
     if has_decimal_comma(content):
         raise FileError(path, DECIMAL_COMMA, number)
     known = "; ".join(f"{name} has {count}" for name, (count, _) in _COLUMNS.items())
+    values = f"{len(words)} value{'s' * (len(words) != 1)} a line" if numeric else shorten(content)
     raise FileError(
         path,
-        f"found {len(words)} values a line, which is no known format ({known}; kitti has 12, or 13 with the "
+        f"found {values}, which is no known format ({known} numbers a line; kitti has 12, or 13 with the "
         "frame index first; csv names its columns, as in timestamp,x,y,z,qx,qy,qz,qw)",
         number,
     )
+
+
+def _detect_numbers(
+    path: str | Path, number: int, words: list[str], header: tables.Header | None, *, separated: bool
+) -> Format | None:
+    """Return the format of lines of numbers by the first of them; None where it is none."""
+    stamp = abs(float(words[0])) if is_number(words[0]) else 0.0
+    if header is None and len(words) > kitti_files.COLUMNS and not stamp < _FIRST_UNIX_STAMP:
+        matrix = words[1 : 1 + kitti_files.COLUMNS]
+        if all(map(is_number, matrix)) and kitti_files.check_matrices(np.array([matrix], float)) is None:
+            raise FileError(path, _STAMPED_MATRIX, number)
+    nanoseconds = stamp > _FIRST_NANOSECOND_STAMP and separated
+    counts = {kitti_files.COLUMNS} if header is not None else {kitti_files.COLUMNS, kitti_files.COLUMNS + 1}
+    if len(words) in counts and not nanoseconds:
+        return "kitti"
+    covariances = header is not None and header.covariance
+    if len(words) == 8 or (len(words) > 8 and separated and not covariances):
+        return "euroc" if nanoseconds else "tum"
+    return None
 
 
 def _from_table(

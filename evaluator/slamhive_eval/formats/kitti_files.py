@@ -21,6 +21,7 @@ from slamhive_eval.formats.textfiles import (
     known_rows,
     parse_table,
     read_bytes,
+    words_of,
 )
 from slamhive_eval.trajectory import LARGEST_METRES, LARGEST_STAMP_SECONDS, Fault, Trajectory, find_fault
 
@@ -58,7 +59,7 @@ def parse_poses(
         FileError: A line that holds no pose or no frame index, or stamps that don't belong to the poses.
     """
     first = next(data_lines(head(data)), None)
-    indexed = first is not None and len(first[1].replace(",", " ").split()) == COLUMNS + 1
+    indexed = first is not None and len(words_of(first[1])) == COLUMNS + 1
     table = parse_table(path, data, COLUMNS + indexed, _MEANING_INDEXED if indexed else MEANING)
     known = known_rows(path, table[:, -COLUMNS:])
     _check_rows(path, data, table[:, -COLUMNS:], known.rows)
@@ -137,7 +138,7 @@ def _count(trajectory: Trajectory) -> str:
 def _line_of(path: str | Path, frame: float) -> int | None:
     """Number of the line that gives a frame; None where the file can't be read again, as a pipe."""
     lines = data_lines(decode(read_bytes(path)))
-    return next((number for number, text in lines if float(text.replace(",", " ").split()[0]) == frame), None)
+    return next((number for number, text in lines if float(words_of(text)[0]) == frame), None)
 
 
 def check_matrices(table: FloatArray) -> Fault | None:

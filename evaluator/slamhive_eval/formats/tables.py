@@ -13,19 +13,21 @@ import itertools
 import re
 import warnings
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
 from slamhive_eval import rotation
 from slamhive_eval.errors import FileError
 from slamhive_eval.formats import covariances
-from slamhive_eval.formats.textfiles import DECIMAL_COMMA, has_decimal_comma, lines_of
+from slamhive_eval.formats.textfiles import DECIMAL_COMMA, has_decimal_comma, lines_of, shorten, words_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from slamhive_eval.rotation import FloatArray
+
+T = TypeVar("T")
 
 _POSITION = {"p", "pos", "position", "t", "trans", "translation", "pose", "point", "xyz", "location"}
 _ORIENTATION = {"q", "quat", "quaternion", "orientation", "rot", "rotation", "ori"}
@@ -46,15 +48,31 @@ _OTHER = {
     ),
     *("cov", "covariance", "std", "sigma", "gravity"),
 }
+_COMPACT = re.compile(rf"({'|'.join(sorted(_POSITION | _ORIENTATION | {'o'}))})([xyzw])")
 _TIMES = ("stamp", "timestamp", "time", "t", "stamps", "timestamps", "times")
 _SECONDS, _NANOSECONDS = ("sec", "secs"), ("nsec", "nsecs", "nanosec", "nanosecs")
 _ANGLES = {"roll": "roll", "pitch": "pitch", "yaw": "yaw", "theta": "yaw", "heading": "yaw"}
 _UNITS = {
-    **dict.fromkeys(("ns", "nanoseconds", "nsec"), 1e9),
-    **dict.fromkeys(("us", "µs", "microseconds", "usec"), 1e6),
-    **dict.fromkeys(("ms", "milliseconds", "msec"), 1e3),
-    **dict.fromkeys(("s", "sec", "seconds"), 1.0),
+    **dict.fromkeys(("ns", "nanosecond", "nanoseconds", *_NANOSECONDS), 1e9),
+    **dict.fromkeys(("us", "µs", "\u03bcs", "microsecond", "microseconds", "usec", "usecs"), 1e6),
+    **dict.fromkeys(("ms", "millisecond", "milliseconds", "msec", "msecs"), 1e3),
+    **dict.fromkeys(("s", "second", "seconds", *_SECONDS), 1.0),
 }
+_UNSAID = ("", "utc", "unix", "epoch")
+_LENGTHS = {
+    **dict.fromkeys(("", "m", "meter", "meters", "metre", "metres"), 1.0),
+    "km": 1e3,
+    "cm": 1e-2,
+    "mm": 1e-3,
+}
+_ANGLE_UNITS = {
+    **dict.fromkeys(("", "rad", "radian", "radians"), False),
+    **dict.fromkeys(("deg", "degree", "degrees", "°"), True),
+}
+"""Angles by their unit: whether they are degrees."""
+_UNNAMED_QUATERNION = re.compile(r"(q|quat|quaternion|orientation)[^a-z0-9]*[0-3ijkr][^a-z0-9]*")
+_PROSE = {"and", "are", "as", "at", "by", "for", "from", "in", "is", "of", "on", "the", "then", "to", "with"}
+"""Words of remarks, which name no columns."""
 _LARGEST_UNNAMED_ANGLE = 6.5
 
 
@@ -89,6 +107,7 @@ class Header:
         count: Number of all columns.
         covariance: Column of each known entry of the covariance.
         covariance_of_body: Whether those of the rotation are about the body's axes.
+        unnamed: Names of columns that are parts of a quaternion but don't say which, as ``q0`` and ``q[0]``.
     """
 
     line: int
@@ -98,41 +117,78 @@ class Header:
     count: int
     covariance: dict[covariances.Entry, int] = field(default_factory=dict)
     covariance_of_body: bool = False
+    unnamed: tuple[str, ...] = ()
 
     @property
     def is_trajectory(self) -> bool:
         """True if the columns contain a time and a position."""
         return ("time" in self.columns or "sec" in self.columns) and {"x", "y"} <= self.columns.keys()
 
-    @property
-    def order(self) -> tuple[str, ...]:
-        """The fields of the first eight columns; empty where one of them is of no use."""
+    def is_usual(self, order: tuple[str, ...], per_second: float) -> bool:
+        """Tell whether the first columns are these fields, in m and such a part of a second."""
         fields = {k: name for name, k in self.columns.items()}
-        found = tuple(fields.get(k, "") for k in range(8))
-        return found if all(found) else ()
+        time = self.units.get("time", "")
+        return (
+            tuple(fields.get(k, "") for k in range(len(order))) == order
+            and (time in _UNSAID or _UNITS.get(time) == per_second)
+            and all(_LENGTHS.get(self.units.get(axis, "")) == 1.0 for axis in "xyz")
+        )
 
 
-def find_header(path: str | Path, text: str) -> Header | None:
-    """The names of a table's columns in the first line that isn't empty; it may begin with # or %.
+def find_header(path: str | Path, text: str, first: str | None = None) -> Header | None:
+    """The names of a table's columns, in a comment (# or %) above the data or in the line without one.
+
+    Args:
+        path: Named in errors.
+        text: The beginning of the file.
+        first: The first line without a comment where that one holds numbers, not names; None where it
+            doesn't.
 
     Returns:
-        The header, None where the line holds no names of a time and a position.
+        The header, None where no such line holds names of a time and a position.
 
     Raises:
-        FileError: Two columns could be the same.
+        FileError: Two columns could be the same, or the time has no name beside those of poses.
     """
-    lines = ((number, line.strip()) for number, line in enumerate(lines_of(text), start=1))
-    number, line = next(((number, line) for number, line in lines if line.strip("#% \t")), (0, ""))
-    content = line.lstrip("#% \t")
+    for number, line in enumerate(lines_of(text), start=1):
+        content = line.strip().lstrip("#%/ \t")
+        comment = line.lstrip().startswith(("#", "%", "//"))
+        if not content:
+            continue
+        if not comment and first is not None:
+            return None
+        header = _header(path, number, content, first, comment=comment)
+        if header is not None or not comment:
+            return header
+    return None
+
+
+def _header(
+    path: str | Path, number: int, content: str, first: str | None, *, comment: bool
+) -> Header | None:
+    """The header that a line is; None where it is a remark, or names no time and position."""
     delimiter = next((one for one in ",;\t" if one in content), None)
-    names = next(csv.reader([content], delimiter=delimiter)) if delimiter else content.split()
+    # Where spaces are between names, one before a bracket is none: "x [mm] y [mm]".
+    names = cells(content, delimiter) if delimiter else re.sub(r"\s+(?=[\[(])", "", content).split()
+    if comment and _PROSE.intersection(content.lower().split()):
+        return None
     columns, units, clash = _columns(names)
+    if first is not None:
+        # Numbers may be separated otherwise than the names in a comment above them.
+        delimiter = next((one for one in ",;" if one in first), None)
+        if len(names) not in {len(words_of(first)), len(cells(first, delimiter)) if delimiter else 0}:
+            return None
+        if {"x", "y", "qw"} <= columns.keys() and not {"time", "sec", 0} & {*columns, *columns.values()}:
+            columns["time"] = 0  # whatever it is called
     entries, of_body = covariances.find_columns(names)
-    if clash and line.startswith("#"):
+    if clash and comment:
         return None  # a remark, not the names of columns
     if clash:
         raise FileError(path, clash, number)
-    header = Header(number, delimiter, columns, units, len(names), entries, of_body)
+    unnamed = tuple(one for one in names if _UNNAMED_QUATERNION.fullmatch(one.strip("\"' ").lower()))
+    header = Header(number, delimiter, columns, units, len(names), entries, of_body, unnamed)
+    if {"x", "y", "qw"} <= columns.keys() and not header.is_trajectory:
+        raise FileError(path, "no column is named time, as timestamp, time, t or sec are", number)
     return header if header.is_trajectory else None
 
 
@@ -162,7 +218,8 @@ def read_table(path: str | Path, text: str, header: Header) -> Rows:
         raise FileError(path, "holds no poses: there is nothing below the names of the columns")
     table = dict(zip(fields, numbers.T, strict=False))
     zero = np.zeros(len(numbers))
-    positions = np.column_stack((table["x"], table["y"], table.get("z", zero)))
+    lengths = [_unit(path, header, axis, _LENGTHS) for axis in "xyz"]
+    positions = np.column_stack((table["x"], table["y"], table.get("z", zero))) * lengths
     quaternions = _quaternions(path, header, table, len(numbers))
     known = None
     if header.covariance:
@@ -171,7 +228,15 @@ def read_table(path: str | Path, text: str, header: Header) -> Rows:
     oriented = quaternions is not None
     if quaternions is None:
         quaternions = np.tile((0.0, 0.0, 0.0, 1.0), (len(numbers), 1))
-    return Rows(_stamps(table, header), positions, quaternions, oriented, known)
+    return Rows(_stamps(path, table, header), positions, quaternions, oriented, known)
+
+
+def cells(line: str, delimiter: str) -> list[str]:
+    """Cells of a line, which quotes may enclose; one of endless cells is cut at its delimiters alone."""
+    try:
+        return next(csv.reader([line], delimiter=delimiter))
+    except csv.Error:
+        return line.split(delimiter)
 
 
 def _columns(names: list[str]) -> tuple[dict[str, int], dict[str, str], str]:
@@ -204,7 +269,7 @@ def _tokens(name: str) -> tuple[list[str], str]:
         return tokens, bracket.group(1)
     # The seconds of a ROS stamp, stamp.sec and stamp.nanosec, are fields, not units.
     is_field = bool(tokens) and tokens[-1] in _SECONDS + _NANOSECONDS and "stamp" in tokens
-    if len(tokens) > 1 and tokens[-1] in {*_UNITS, "deg", "rad", "degrees", "m"} and not is_field:
+    if len(tokens) > 1 and tokens[-1] in {*_UNITS, *_LENGTHS, *_ANGLE_UNITS} and not is_field:
         return tokens[:-1], tokens[-1]
     return tokens, ""
 
@@ -214,9 +279,9 @@ def _field(tokens: list[str]) -> str | None:
     if not tokens or _OTHER.intersection(tokens[:-1]):
         return None
     last, before = tokens[-1], set(tokens[:-1])
-    compact = re.fullmatch(r"(p|t|pos|q|quat|o)([xyzw])", last)
+    compact = _COMPACT.fullmatch(last)
     if compact:
-        before, last = {"q" if compact.group(1) in ("q", "quat", "o") else "p"}, compact.group(2)
+        before, last = {"q" if compact.group(1) in {*_ORIENTATION, "o"} else "p"}, compact.group(2)
     if last in ("x", "y", "z", "w") and before & _ORIENTATION:
         return f"q{last}"
     if last in ("x", "y", "z") and (not before or before & _POSITION):
@@ -225,13 +290,25 @@ def _field(tokens: list[str]) -> str | None:
     return last if last in _TIMES else alone.get(last)
 
 
-def _stamps(table: dict[str, FloatArray], header: Header) -> FloatArray:
+def _unit(path: str | Path, header: Header, name: str, known: dict[str, T]) -> T:
+    """Meaning of the unit that the name of a column states.
+
+    Raises:
+        FileError: It is none that is known.
+    """
+    unit = header.units.get(name, "")
+    if unit not in known:
+        allowed = ", ".join(one for one in known if one)
+        raise FileError(path, f"the unit {unit!r} of {name} isn't known; known: {allowed}", header.line)
+    return known[unit]
+
+
+def _stamps(path: str | Path, table: dict[str, FloatArray], header: Header) -> FloatArray:
     if "sec" in table:
         return table["sec"] + table.get("nsec", np.zeros(len(table["sec"]))) / 1e9
     stamps = table["time"]
-    unit = header.units.get("time", "")
-    if unit in _UNITS:
-        return stamps / _UNITS[unit]
+    if header.units.get("time", "") not in _UNSAID:
+        return stamps / _unit(path, header, "time", _UNITS)
     # Unix time: 1e9 s, 1e12 ms, 1e15 µs, 1e18 ns.
     finite = stamps[np.isfinite(stamps)]
     largest = np.abs(finite).max(initial=0.0)
@@ -247,12 +324,16 @@ def _quaternions(path: str | Path, header: Header, table: dict[str, FloatArray],
         return np.column_stack([table[name] for name in parts])
     if parts:
         raise FileError(path, f"has the columns {', '.join(parts)} of qx, qy, qz, qw only", header.line)
+    if header.unnamed:
+        told = f"the columns {', '.join(map(repr, header.unnamed))} don't say which part of a quaternion"
+        raise FileError(path, f"{told} they are; name them qx, qy, qz, qw", header.line)
     angles = [name for name in ("roll", "pitch", "yaw") if name in table]
     if not angles:
         return None
     rpy = np.zeros((n, 3))
     for name in angles:
         unit = header.units.get(name, "")
+        degrees = _unit(path, header, name, _ANGLE_UNITS)
         values = table[name]
         if not unit and np.abs(values).max() > _LARGEST_UNNAMED_ANGLE:
             raise FileError(
@@ -260,9 +341,7 @@ def _quaternions(path: str | Path, header: Header, table: dict[str, FloatArray],
                 f"the angles of {name} have no unit; name the column {name}_deg or {name}_rad",
                 header.line,
             )
-        rpy[:, ("roll", "pitch", "yaw").index(name)] = (
-            np.deg2rad(values) if unit.startswith("deg") else values
-        )
+        rpy[:, ("roll", "pitch", "yaw").index(name)] = np.deg2rad(values) if degrees else values
     return rotation.from_roll_pitch_yaw(rpy)
 
 
@@ -272,9 +351,7 @@ def _line_by_line(path: str | Path, lines: list[str], header: Header, columns: d
         content = line.split("#", 1)[0].strip()
         if not content:
             continue
-        words = (
-            next(csv.reader([content], delimiter=header.delimiter)) if header.delimiter else content.split()
-        )
+        words = cells(content, header.delimiter) if header.delimiter else content.split()
         row = []
         for name, column in columns.items():
             if column >= len(words):
@@ -283,9 +360,8 @@ def _line_by_line(path: str | Path, lines: list[str], header: Header, columns: d
             try:
                 row.append(float(word))
             except ValueError:
-                shown = word if len(word) <= 30 else word[:30] + "…"
                 hint = f"; {DECIMAL_COMMA}" if has_decimal_comma(word) else ""
-                told = f"{shown!r} in the column of {name} is no number{hint}"
+                told = f"{shorten(word)} in the column of {name} is no number{hint}"
                 raise FileError(path, told, number) from None
         rows.append(row)
     return np.array(rows, dtype=np.float64).reshape(-1, len(columns))

@@ -31,11 +31,14 @@ _BLOCK = 1 << 19
 """Bytes that are turned into numbers at once: what comes of them stays in the processor's cache."""
 _KEPT_BYTES = 16 << 20
 _HEAD = 1 << 14
+_LONGEST_WORD = 30
 _COMMA_NUMBER = re.compile(r"(?:^|[;\s])[-+]?\d+,\d+(?:[eE][-+]?\d+)?(?=[;\s]|$)")
 _QUOTED = re.compile(r'"[^"]*"')
 DECIMAL_COMMA = "its numbers have a decimal comma; write them with a point, as 1.5"
 """Sentence on a line of `has_decimal_comma`."""
-_GZIP, _BZIP2 = b"\x1f\x8b", b"BZh"
+_GZIP, _BZIP2, _ZIP = b"\x1f\x8b", b"BZh", b"PK\x03\x04"
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")
+_SEPARATORS = str.maketrans(",;", "  ")
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 
@@ -56,6 +59,10 @@ def read_bytes(path: str | Path) -> bytes:
             data = bz2.decompress(data)
     except (OSError, EOFError, ValueError, zlib.error) as error:
         raise FileError(path, f"the compressed data is broken or cut off ({error})") from error
+    if data.startswith(_UTF16):
+        data = data.decode("utf-16", errors="replace").encode()
+    if data.startswith(_ZIP):
+        raise FileError(path, "is a ZIP archive; unpack it, and name the files in it")
     if b"\0" in data:
         raise FileError(path, "is no text file (it holds zero bytes)")
     data = data.removeprefix(_BYTE_ORDER_MARK)
@@ -95,7 +102,7 @@ def data_lines(text: str) -> Iterator[tuple[int, str]]:
 def parse_table(
     path: str | Path, data: bytes, columns: int, meaning: str, *, extra: bool = False
 ) -> FloatArray:
-    """Numbers of a text, one row a line; commas count as white space, ``#`` begins a comment.
+    """Numbers of a text, one row a line; commas and semicolons count as white space, ``#`` begins a comment.
 
     Args:
         path: Named in errors.
@@ -114,8 +121,11 @@ def parse_table(
     first = next(data_lines(head(data)), None)
     if first is None:
         raise NoPosesError(path)
+    if columns > 2 and has_decimal_comma(first[1]):
+        # Halves of numbers could be as many as there should be numbers; 1,2 are two where two should be.
+        raise FileError(path, f"{DECIMAL_COMMA}; expected {meaning}", first[0])
     try:
-        table = _numbers(data, commas="," in first[1])
+        table = _numbers(data, separated=is_separated(first[1]))
     except ValueError:
         table = np.empty((0, 0))
     if not len(table) or table.shape[1] < columns or (table.shape[1] > columns and not extra):
@@ -124,7 +134,7 @@ def parse_table(
     return table[:, :columns]
 
 
-def _numbers(data: bytes, *, commas: bool) -> FloatArray:
+def _numbers(data: bytes, *, separated: bool) -> FloatArray:
     """All numbers of a text, block by block, for a buffer of all of it is as large as the text again.
 
     Raises:
@@ -138,7 +148,7 @@ def _numbers(data: bytes, *, commas: bool) -> FloatArray:
         np.empty(_KEPT_BYTES, np.uint8)
     while start < len(data):
         end = data.find(b"\n", start + _BLOCK) + 1 or len(data)
-        found = _block(data[start:end], commas=commas)
+        found = _block(data[start:end], separated=separated)
         start = end
         if len(found):
             parts.append(found)
@@ -149,9 +159,9 @@ def _numbers(data: bytes, *, commas: bool) -> FloatArray:
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-def _block(block: bytes, *, commas: bool) -> FloatArray:
-    if commas:
-        block = block.replace(b",", b" ")
+def _block(block: bytes, *, separated: bool) -> FloatArray:
+    if separated:
+        block = block.replace(b",", b" ").replace(b";", b" ")
     begin = 0
     while block.startswith(b"#", begin):
         begin = block.find(b"\n", begin) + 1 or len(block)
@@ -215,7 +225,22 @@ def is_number(word: str) -> bool:
         float(word)
     except ValueError:
         return False
-    return "_" not in word
+    return word.isascii() and "_" not in word
+
+
+def is_separated(line: str) -> bool:
+    """Tell whether commas or semicolons separate the words of a line."""
+    return "," in line or ";" in line
+
+
+def words_of(line: str) -> list[str]:
+    """Words of a line without named columns, where commas and semicolons separate as white space does."""
+    return line.translate(_SEPARATORS).split()
+
+
+def shorten(word: str) -> str:
+    """A word as an error quotes it."""
+    return repr(word if len(word) <= _LONGEST_WORD else word[:_LONGEST_WORD] + "…")
 
 
 def has_decimal_comma(line: str, columns: int | None = None) -> bool:
@@ -233,13 +258,15 @@ def has_decimal_comma(line: str, columns: int | None = None) -> bool:
 
 
 def _raise_bad_line(path: str | Path, text: str, columns: int, meaning: str, *, extra: bool) -> None:
+    separated: bool | None = None
     for number, content in data_lines(text):
-        words = content.replace(",", " ").split()
+        words = words_of(content)
+        # As the numbers were read: what the first line doesn't separate by is part of a word.
+        separated = separated or (separated is None and is_separated(content))
         if len(words) != columns and has_decimal_comma(content, columns):
             raise FileError(path, f"{DECIMAL_COMMA}; expected {meaning}", number)
         if len(words) < columns or (len(words) > columns and not extra):
             raise FileError(path, f"found {len(words)} of {columns} values; expected {meaning}", number)
-        for word in words:
+        for word in words if separated else content.split():
             if not is_number(word):
-                shown = word if len(word) <= 30 else word[:30] + "…"
-                raise FileError(path, f"{shown!r} is no number; expected {meaning}", number)
+                raise FileError(path, f"{shorten(word)} is no number; expected {meaning}", number)

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive_eval.association import nearest, pair_up
+from slamhive_eval.association import nearest
 from slamhive_eval.errors import OptionError, TrajectoryError
 from slamhive_eval.formats.healthfiles import FLAGS, SAYS_NOTHING
 from slamhive_eval.measures.consistency import Part, measure_consistency
@@ -268,14 +268,7 @@ def evaluate_health(
     if covariances is not None:
         estimate = replace(estimate, covariances=_beside(estimate, *covariances))
     estimate, clock = set_clock(reference, estimate, how)
-    pairs, truth, kept = pair_up(
-        reference,
-        estimate,
-        how.matching,
-        max_difference_seconds=how.max_difference_seconds,
-        offset_seconds=how.offset_seconds,
-        max_gap_seconds=how.max_gap_seconds,
-    )
+    pairs, truth, kept = how.pair_up(reference, estimate)
     if not len(pairs):
         raise TrajectoryError("no pose has a ground truth beside which it could be judged")
     laid = lay(truth, kept, how)

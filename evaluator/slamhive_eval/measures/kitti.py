@@ -33,7 +33,7 @@ SPEEDS = tuple(float(speed) for speed in range(2, 25, 2))
 SPEED_WIDTH = 2.0
 """A segment belongs to each group whose centre is nearer than this: the groups overlap, as the devkit's."""
 OVERSHOOT = 0.1
-"""Share of a segment within which a later frame serves where the estimate lacks the one that ends it."""
+"""Share of a segment within which a later pose serves where the estimate lacks the one that ends it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +126,8 @@ def kitti_errors(
     """Segment errors of the KITTI benchmark over any lengths.
 
     The world frames may differ: relative motions are compared. Lengths are measured along the whole ground
-    truth. An estimate that lacks poses is measured on those it has; a segment whose end it lacks is ended
-    by the next pose within a tenth of the length, else it is counted as missing.
+    truth. An estimate that lacks poses is measured on those it has; a segment whose begin or end it lacks is
+    counted as missing, but where the stamps are times the next pose within a tenth of the length ends it.
 
     Args:
         reference: Ground truth.
@@ -156,7 +156,9 @@ def kitti_errors(
     if frame_seconds is None and numbered:
         frame_seconds = FRAME_SECONDS
     starts = np.arange(0, len(reference), step) if numbered else pairs.reference[::step]
-    begin, end, nominal, missing = _ends(reference.distances, pairs.reference, starts, lengths)
+    # Of frames the devkit's own one ends a segment, or none; times may be those of keyframes.
+    overshoot = 0.0 if numbered else OVERSHOOT
+    begin, end, nominal, missing = _ends(reference.distances, pairs.reference, starts, lengths, overshoot)
     # The devkit inverts matrices, it doesn't transpose them as rpe_errors does: only orthonormal ones agree.
     truth = reference.select(pairs.reference).orthonormal()
     found = estimate.select(pairs.estimate).orthonormal()
@@ -202,7 +204,11 @@ def _check(lengths: tuple[float, ...], step: int, scale: float, frame_seconds: f
 
 
 def _ends(
-    distances: FloatArray, associated: IndexArray, starts: IndexArray, lengths: tuple[float, ...]
+    distances: FloatArray,
+    associated: IndexArray,
+    starts: IndexArray,
+    lengths: tuple[float, ...],
+    overshoot: float,
 ) -> tuple[IndexArray, IndexArray, FloatArray, int]:
     """Begin and end among the associated poses, nominal length, and how many segments lack one of the two."""
     start = np.repeat(starts, len(lengths))
@@ -213,7 +219,7 @@ def _ends(
     begin = np.minimum(np.searchsorted(associated, start), len(associated) - 1)
     end = np.searchsorted(distances[associated], goal, side="right")
     clipped = np.minimum(end, len(associated) - 1)
-    near = distances[associated[clipped]] <= goal + OVERSHOOT * nominal
+    near = distances[associated[clipped]] <= goal + overshoot * nominal
     # The devkit takes the first frame beyond the length however far it is; only later ones must be near.
     near |= associated[clipped] <= true_end
     found = exists & (associated[begin] == start) & (end < len(associated)) & near

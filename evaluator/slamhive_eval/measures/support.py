@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive_eval import metrics
-from slamhive_eval.association import pair_up
 from slamhive_eval.coverage import FRAME_STEP_SECONDS, KEYFRAME_STEP_SECONDS, is_keyframes
 from slamhive_eval.errors import AssociationError, OptionError
 from slamhive_eval.evaluation import Evaluation, Options, evaluate
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
-    from slamhive_eval.association import Association
     from slamhive_eval.rotation import FloatArray, IndexArray
     from slamhive_eval.trajectory import Trajectory
 
@@ -302,29 +300,16 @@ def _spans(estimate: Trajectory, longest_step_seconds: float | None) -> FloatArr
 
 
 def _span_metres(reference: Trajectory, part: Trajectory, options: Options) -> float:
-    pairs, _, _ = _pair_up(reference, part, options)
+    pairs, _, _ = options.preparation.pair_up(reference, part)
     if not len(pairs):
         return 0.0
     return float(reference.distances[pairs.reference[-1]] - reference.distances[pairs.reference[0]])
 
 
 def _under(main: Evaluation, reference: Trajectory, part: Trajectory, options: Options) -> Statistics | None:
-    pairs, truth, kept = _pair_up(reference, part, options)
+    pairs, truth, kept = options.preparation.pair_up(reference, part)
     if main.alignment is None or not len(pairs) or options.hand_eye:
         return None
     if options.extrinsic is not None:
         truth = truth.moved(options.extrinsic)
     return Statistics.of(metrics.ape_errors(truth, main.alignment.apply(kept)))
-
-
-def _pair_up(
-    reference: Trajectory, part: Trajectory, options: Options
-) -> tuple[Association, Trajectory, Trajectory]:
-    return pair_up(
-        reference,
-        part,
-        options.matching,
-        max_difference_seconds=options.max_difference_seconds,
-        offset_seconds=options.offset_seconds,
-        max_gap_seconds=options.max_gap_seconds,
-    )

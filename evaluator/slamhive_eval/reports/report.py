@@ -62,11 +62,7 @@ def report_html(
 
 
 def report_data(
-    reference: Trajectory,
-    evaluations: Mapping[str, Evaluation],
-    *,
-    title: str,
-    reference_name: str,
+    reference: Trajectory, evaluations: Mapping[str, Evaluation], *, title: str, reference_name: str
 ) -> dict[str, Any]:
     """Return the curves, statistics and histograms that the page of a report draws, as plain JSON data.
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -10,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.cells import Places
-from slamhive.analysis.columns import count_distinct
 from slamhive.analysis.grouping import (
     LOAD,
     PROCESSOR,
+    SUBJECT,
     Copies,
     Groups,
     apart,
@@ -179,10 +180,11 @@ class Grid:
 
 @dataclass(frozen=True)
 class PreparedGrids:
-    """Grids of one question, with the settings that are pooled in them, and sentences."""
+    """Grids of one question, with the settings that are pooled in them, whose they are, and sentences."""
 
     grids: list[Grid]
     pooled: dict[str, int]
+    whose: dict[str, tuple[str, ...]]
     notes: tuple[str, ...]
 
 
@@ -234,19 +236,40 @@ def prepare(
     grids = []
     for rows, shared in zip(groups.members(), groups.keys, strict=True):
         inside = frame.select(rows)
-        for part in _comparable(inside, told):
-            mine = [of_row[rows[part]] for of_row in marks]
-            grids.append(_grid(inside.select(part), shared, metric, told, mine))
+        parts = _comparable(inside, told)
+        for part in parts:
+            mine, of_part = (rows, inside) if len(parts) == 1 else (rows[part], inside.select(part))
+            grids.append(_grid(of_part, shared, metric, told, [of_row[mine] for of_row in marks]))
     grids.sort(key=lambda grid: -len(grid.frame))
-    return PreparedGrids(grids, {name: _values(frame, name) for name in pooled}, tuple(notes))
+    return PreparedGrids(grids, *_pooled(frame, pooled), tuple(notes))
 
 
-def _values(frame: Frame, name: str) -> int:
-    """Return the number of values of a pooled setting; having none is one beside a single other one."""
-    column = frame.column(name)
-    return max(
-        2, count_distinct((column.numbers if column.kind.is_numeric else column.codes)[column.present])
-    )
+def _pooled(frame: Frame, names: Sequence[str]) -> tuple[dict[str, int], dict[str, tuple[str, ...]]]:
+    """Return the number of values of each pooled setting, and whose it is where not all algorithms vary it.
+
+    Those of all come first, then one of each algorithm, so that a few of them tell something of everyone.
+    """
+    subjects = Groups(frame, SUBJECT)
+    example = subjects.firsts[subjects.of_row]
+    codes, algorithms = frame.column("algorithm").factorized()
+    counts: dict[str, int] = {}
+    whose: dict[str, tuple[str, ...]] = {}
+    for name in names:
+        of_value, values = frame.column(name).factorized()
+        varied = np.bincount(codes[of_value != of_value[example]], minlength=len(algorithms)) > 0
+        known = sum(value is not None for value in values)
+        if not varied.all():
+            known = int(np.count_nonzero(np.bincount(of_value[varied[codes]], minlength=known)[:known]))
+            whose[name] = tuple(sorted(str(algorithms[code]) for code in np.flatnonzero(varied)))
+        # Having none is a value beside a single other one.
+        counts[name] = max(2, known)
+    seen: Counter[tuple[str, ...]] = Counter()
+    order = {}
+    for name in counts:
+        mine = whose.get(name, ())
+        order[name] = (seen[mine] + 1 if mine else 0, mine)
+        seen[mine] += 1
+    return {name: counts[name] for name in sorted(counts, key=order.__getitem__)}, whose
 
 
 def _comparable(frame: Frame, by: Sequence[str]) -> list[Mask]:

@@ -15,14 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.compact.texts import (
-    LONG,
-    PackedTexts,
-    fit_together,
-    merged,
-    numbers_of_texts,
-    short,
-)
+from slamhive.analysis.compact.growing import joined
+from slamhive.analysis.compact.texts import LONG, PackedTexts, fit_together, merged, numbers_of_texts, short
 from slamhive.model.base import Choice
 
 if TYPE_CHECKING:
@@ -84,7 +78,7 @@ class Column:
         values: as given.
     """
 
-    __slots__ = ("_codes", "_numbers", "kind", "values")
+    __slots__ = ("_codes", "_numbers", "_occurs", "kind", "values")
 
     def __init__(
         self,
@@ -96,6 +90,7 @@ class Column:
         self.kind = kind
         self._numbers = numbers
         self._codes = codes
+        self._occurs: Mask | None = None
         self.values: Any = values
 
     @classmethod
@@ -114,13 +109,15 @@ class Column:
         return cls(kind, _NO_NUMBERS, _narrow(np.asarray(codes), len(kept)), kept)
 
     @classmethod
-    def of(cls, values: Sequence[Any], types: AbstractSet[type] | None = None) -> Column:
+    def of(cls, values: Sequence[Any] | Column, types: AbstractSet[type] | None = None) -> Column:
         """Return the column of plain JSON values.
 
         Args:
-            values: one a row, None where missing.
+            values: one a row, None where missing; a column is itself.
             types: those of the values, where they are known.
         """
+        if isinstance(values, Column):
+            return values
         types = set(map(type, values)) if types is None else types
         if types <= _PLAIN:
             found = cls.of_numbers(values)  # numpy reads None as NaN
@@ -192,14 +189,14 @@ class Column:
             if len(column)
         ]
         if not parts or any(not part.is_coded for part in parts):
-            return cls(kind, np.concatenate([part.numbers for part in parts] or [_NO_NUMBERS]), _NO_CODES)
+            return cls(kind, joined([part.numbers for part in parts] or [_NO_NUMBERS]), _NO_CODES)
         known = [part.values for part in parts if len(part.values)]
         same = all(np.array_equal(one, known[0]) for one in known)
         values = (known[0] if known else _NO_NUMBERS) if same else np.unique(np.concatenate(known))
         if len(values) > _FEW:
-            return cls(kind, np.concatenate([part.numbers for part in parts]), _NO_CODES)
+            return cls(kind, joined([part.numbers for part in parts]), _NO_CODES)
         if same:
-            return cls(kind, _NO_NUMBERS, np.concatenate([part.held for part in parts]), values)
+            return cls(kind, _NO_NUMBERS, joined([part.held for part in parts]), values)
         codes = [
             np.append(np.searchsorted(values, part.values), -1).astype(np.int8)[part.held] for part in parts
         ]
@@ -376,20 +373,32 @@ class Column:
             uniques, codes = np.unique(self._numbers, return_inverse=True)
             values = [None if value != value else self.plain(value) for value in uniques.tolist()]  # noqa: PLR0124
             return codes.astype(np.int32), values
-        used, codes = renumbered(self._codes, len(self.values))
-        used = used + 1
+        occurs = self._occurring()
+        used = np.flatnonzero(occurs[:-1]).tolist()
         if self.kind.is_numeric:
-            if len(used) and used[0] == 0:  # what is missing comes last
-                used, codes = np.append(used[1:], 0), np.where(codes == 0, len(used), codes) - 1
-            values = [
-                None if code == 0 else self.plain(float(self.values[code - 1])) for code in used.tolist()
-            ]
-            return codes.astype(np.int32), values
-        values = [None if code == 0 else self.values[code - 1] for code in used.tolist()]
-        order = sorted(range(len(values)), key=lambda place: sort_key(values[place]))
-        ranks = np.empty(len(values), dtype=np.int32)
-        ranks[order] = np.arange(len(values), dtype=np.int32)
-        return ranks[codes], [values[place] for place in order]
+            values = [self.plain(float(self.values[code])) for code in used]
+        else:
+            used.sort(key=lambda code: sort_key(self.values[code]))
+            values = [self.values[code] for code in used]
+        ranks = np.empty(len(occurs), dtype=np.int32)
+        ranks[used] = np.arange(len(used), dtype=np.int32)
+        ranks[-1] = len(used)  # what is missing comes last
+        return ranks[self._codes], [*values, *([None] if occurs[-1] else [])]
+
+    def distinct(self) -> int:
+        """Return the number of different values, a missing one not counted."""
+        if self.is_coded:
+            return int(np.count_nonzero(self._occurring()[:-1]))
+        return count_distinct(self._numbers[self.present])
+
+    def _occurring(self) -> Mask:
+        """Tell which places in ``values`` rows hold, and last whether any holds none, (values + 1,)."""
+        occurs = self._occurs
+        if occurs is None:
+            occurs = np.zeros(len(self.values) + 1, dtype=bool)
+            occurs[self._codes] = True
+            self._occurs = occurs  # whole by now, for whichever thread asks next
+        return occurs
 
     def counted(self) -> tuple[Floats, Indices]:
         """Return the different numbers of a numeric column, in their order, and how many rows have each."""
@@ -479,5 +488,5 @@ def renumbered(
 
 def count_distinct(numbers: npt.NDArray[Any]) -> int:
     """Return the count of different numbers; sorted, which is faster than NumPy's hashing of many."""
-    ordered = np.sort(numbers)
+    ordered = numbers if bool((numbers[1:] >= numbers[:-1]).all()) else np.sort(numbers)
     return int(np.count_nonzero(ordered[1:] != ordered[:-1])) + 1 if len(ordered) else 0

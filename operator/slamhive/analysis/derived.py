@@ -11,6 +11,7 @@
 ``superseded``         why a run is no current one: algorithm changed, dataset changed, sweep edited
 ``ate.extended``       the original system's error that grows as coverage falls
 ``lateSeconds``        how late a node's poses came in real time, where that is more than a few frames
+``usage.undisturbedSeconds``  the wall time without the wait for processors that others used
 ``beside.online.…``    causal figures, which are the final ones where no pose was published otherwise later
 """
 
@@ -51,6 +52,8 @@ PUBLISHED = "metrics.posesPublished"
 """Column of how many stamps a player heard a pose for."""
 LATE_SECONDS = "lateSeconds"
 """Column of how late poses came in real time, where that is more than a few frames."""
+UNDISTURBED = "usage.undisturbedSeconds"
+"""Column of the wall time without the wait for processors that others used."""
 
 FEW_FRAMES = 5
 """Frames up to which nothing is said of a node that is so many behind: some hold back as many by design."""
@@ -117,6 +120,7 @@ def with_derived(columns: Mapping[str, Column], length: int, sweeps: Sequence[Sw
         "superseded": _superseded(frame, sweeps),
         "ate.extended": _extended(frame),
         LATE_SECONDS: _lateness(frame),
+        UNDISTURBED: _undisturbed(frame),
         **_causal(frame),
     }
     kept = {name: column.packed() for name, column in extra.items() if not column.is_empty}
@@ -175,6 +179,19 @@ def _disturbed(frame: Frame) -> Column:
     throttled = np.nan_to_num(frame.column("usage.throttledSeconds").floats())
     found = (wall > 0) & ((contended > MAX_CONTENDED * wall) | (throttled > MAX_THROTTLED * wall))
     return Column.of_numbers(found, ColumnKind.BOOLEAN)
+
+
+def _undisturbed(frame: Frame) -> Column:
+    """Column of the time that runs would have taken alone, as far as it is known.
+
+    Threads that run side by side also wait side by side: where a run has several, its wall time is taken to
+    have been stretched as its threads' time was.
+    """
+    wall, busy = (frame.column(f"usage.{name}").floats() for name in ("wallSeconds", "cpu.seconds"))
+    waited = np.nan_to_num(frame.column("usage.contendedSeconds").floats())
+    with np.errstate(divide="ignore", invalid="ignore"):
+        stretched = wall * np.nan_to_num(busy / (busy + waited))
+    return Column.of_numbers(np.maximum(wall - waited, stretched))
 
 
 def _extended(frame: Frame) -> Column:

@@ -240,11 +240,11 @@ def columns_of_runs(runs: Mapping[str, Any], results: Results, left_out: frozens
                     _spread_values(found, f"{prefix}.{name}", values)
         else:
             spread(found, prefix, [item and item.get(key) for item in held] if key else _rest(document, held))
-    columns = {name: _column(values) for name, values in found.items()}
+    columns = {name: Column.of(values) for name, values in found.items()}
     for name, of_archive in OF_RUN.items():
         if of_archive in runs:
             values = runs[of_archive]
-            columns[name] = times(values) if name in TIMES else _column(values)
+            columns[name] = times(values) if name in TIMES else Column.of(values)
     columns["run"] = columns["name"]
     if any(labels and "run" in labels for labels in runs["labels"]):
         names = columns["name"].tolist()
@@ -256,10 +256,6 @@ def columns_of_runs(runs: Mapping[str, Any], results: Results, left_out: frozens
     have = np.array([places[run] for run in complete.runs], dtype=np.intp)
     without = np.setdiff1d(np.arange(len(runs["id"])), have)
     return _joined(columns, np.concatenate([have, without]), complete, left_out)
-
-
-def _column(values: Values) -> Column:
-    return values if isinstance(values, Column) else Column.of(values)
 
 
 def _list(values: Values) -> Sequence[Any]:
@@ -313,7 +309,7 @@ def _joined(columns: dict[str, Column], places: Indices, results: Results, left_
     for name, items in found.items():
         if name in _KEPT:
             continue
-        column = Column.concatenate([_column(items), *below])
+        column = Column.concatenate([Column.of(items), *below])
         joined[name] = _first(column, joined[name]) if name in joined else column
     if any(messages):
         joined["message"] = _first(joined["message"], Column.of([*messages, *padding]))
@@ -341,7 +337,7 @@ def _values(results: Results, left_out: frozenset[str]) -> dict[str, Values]:
         spread(added, "", results.more, left_out)
         before, behind = Column.missing(results.values.length), Column.missing(len(results.more))
         for name in dict.fromkeys([*found, *added]):
-            parts = [_column(found.get(name, before)), _column(added.get(name, behind))]
+            parts = [Column.of(found.get(name, before)), Column.of(added.get(name, behind))]
             found[name] = Column.concatenate(parts)
     return found
 
@@ -442,7 +438,7 @@ def bound(parts: Sequence[Part], known: Iterable[str], most: int) -> list[str]:
 def _spread_values(found: dict[str, Any], name: str, values: Values) -> None:
     if isinstance(values, Column):
         earlier = found.get(name)
-        found[name] = values if earlier is None else _first(values, _column(earlier))
+        found[name] = values if earlier is None else _first(values, Column.of(earlier))
         return
     types = set(map(type, values))
     if types <= _DOCUMENT:

@@ -10,11 +10,12 @@ import numpy as np
 
 from slamhive.analysis.columns import Column, count_distinct
 from slamhive.analysis.flattening import CORE_COLUMNS
-from slamhive.analysis.measures import columns_ending_in
+from slamhive.analysis.measures import columns_ending_in, measure_of
 from slamhive.model.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Set as AbstractSet
 
     from slamhive.analysis.columns import Indices, Mask
 
@@ -24,6 +25,7 @@ DERIVED = frozenset(
     {
         *("status", "disturbed", "superseded", "algorithm.version", "dataset.version", "ate.extended"),
         "lateSeconds",
+        "usage.undisturbedSeconds",
         "search",
         "origin",
     }
@@ -58,6 +60,7 @@ class Frame:
         self.declared: Declared = declared or {}
         self._own: dict[str, Column] = {}
         self._taken: dict[str, Column] = {}
+        self._standing: dict[Any, Mask] = {}
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -133,6 +136,17 @@ class Frame:
             raise UnknownNameError("column", name[:100], self.names, argument=argument)
         return found[0]
 
+    def resolve_key(self, name: str, argument: str = "") -> str:
+        """Return the column that a name means, by which runs are told apart.
+
+        Raises:
+            InputError: it is unknown, means several, or is a result, of which each run has its own.
+        """
+        found = self.resolve(name, argument)
+        if measure_of(found).better:
+            raise InputError(f"{found} is a result, each run has one of its own; -m averages it", argument)
+        return found
+
     def column(self, name: str) -> Column:
         """Return a column; one of nothing where nothing is known by the name."""
         found = self._own.get(name, self._taken.get(name))
@@ -154,7 +168,23 @@ class Frame:
         """Return some rows: by a mask, (n,), or by their places."""
         chosen = Frame(self._columns, self._length, self.rows[rows], self.declared)
         chosen._own = {name: column.take(rows) for name, column in self._own.items()}
+        chosen._standing = self._standing
         return chosen
+
+    def standing(self, tell: Callable[[Frame], Mask], reads: AbstractSet[str]) -> Mask:
+        """Return a function's answers on the rows, (n,), found once for the whole table and all its parts.
+
+        Args:
+            tell: the function.
+            reads: columns that it follows from; rows that have others of their own in their place are asked
+                by themselves.
+        """
+        if not reads.isdisjoint(self._own):
+            return tell(self)
+        found = self._standing.get(tell)
+        if found is None:
+            found = self._standing[tell] = tell(Frame(self._columns, self._length))
+        return found if self._rows is None else found[self._rows]
 
     def count_runs(self, mask: Mask | None = None) -> int:
         """Return the number of runs that rows are of, all or some: one has a row for each evaluation."""
@@ -165,6 +195,7 @@ class Frame:
         """Return the same rows with other columns of some names."""
         changed = Frame(self._columns, self._length, self._rows, self.declared)
         changed._own = self._own | dict(columns)
+        changed._standing = self._standing
         return changed
 
     def without(self, names: Iterable[str]) -> Frame:

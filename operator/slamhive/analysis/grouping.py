@@ -19,7 +19,6 @@ import numpy as np
 from slamhive.analysis.cells import CellColumns, Cells, GroupFigures, Places, again
 from slamhive.analysis.columns import Column, renumbered
 from slamhive.analysis.measures import BESIDE, CONFIGURATION, Better, follows_trajectory, is_error, measure_of
-from slamhive.analysis.statistics import bounds
 from slamhive.model.algorithm import Pace
 from slamhive.model.base import Choice, plural
 from slamhive.model.results import Outcome, Reason
@@ -115,6 +114,8 @@ FAILED_OF_ITSELF = frozenset(
 """Reasons that are the algorithm's own. What the machine or the user ended says nothing of it."""
 
 _MOST_NAMES = 6
+_MOST_COMBINED = 1 << 16
+"""Combinations of values up to which it isn't looked for those that occur before the last column."""
 
 
 class Outcomes(Choice):
@@ -162,28 +163,43 @@ class Groups:
         self.frame = frame
         self.names = tuple(names)
         combined: npt.NDArray[np.int64] = np.zeros(len(frame), dtype=np.int64)
-        count = 1
+        count = bound = 1
         for name in names:
             codes, values = frame.column(name).factorized()
             if len(values) > 1:
-                used, combined = renumbered(combined * len(values) + codes, count * len(values))
-                count = len(used)
-        self.of_row: npt.NDArray[np.intp] = combined.astype(np.intp)
+                if bound * len(values) > _MOST_COMBINED:
+                    used, combined = renumbered(combined, bound)
+                    bound = len(used)
+                combined, bound = combined * len(values) + codes, bound * len(values)
+        if bound > 1:
+            used, combined = renumbered(combined, bound)
+            count = len(used)
+        self.of_row: npt.NDArray[np.intp] = combined.astype(np.intp, copy=False)
         self.count = count if len(frame) else 0
+
+    @cached_property
+    def order(self) -> Indices:
+        """The places of the rows, group by group, (n,)."""
         # Numbers of 16 bits are sorted several times as fast: by radix.
         short = self.of_row.astype(np.uint16) if self.count <= 1 << 16 else self.of_row
-        self.order: Indices = np.argsort(short, kind="stable")
-        self.bounds = bounds(self.of_row[self.order], self.count)
+        return np.argsort(short, kind="stable")
+
+    @cached_property
+    def bounds(self) -> Indices:
+        """The place in the order where each group begins, and the end of the last, (groups + 1,)."""
+        return np.concatenate([[0], np.cumsum(np.bincount(self.of_row, minlength=self.count))])
 
     @cached_property
     def keys(self) -> list[dict[str, Any]]:
         """The values that the rows of each group share, by column."""
         return self.frame.select(self.firsts).records(self.names)
 
-    @property
+    @cached_property
     def firsts(self) -> Indices:
         """The place of the first row of each group, (groups,)."""
-        return self.order[self.bounds[:-1]]
+        found = np.empty(self.count, dtype=np.intp)
+        found[self.of_row[::-1]] = np.arange(len(self.of_row))[::-1]
+        return found
 
     def members(self) -> Iterator[Indices]:
         """Go through the rows of each group, in their order."""
@@ -551,9 +567,7 @@ def varying(frame: Frame) -> list[str]:
     if not len(frame):
         return []
     groups = Groups(frame, SUBJECT)
-    firsts = np.empty(groups.count, dtype=np.intp)
-    firsts[groups.of_row[::-1]] = np.arange(len(frame))[::-1]
-    example = firsts[groups.of_row]
+    example = groups.firsts[groups.of_row]
     names = (name for name in frame.stored if name.startswith(CONFIGURATION) and name not in FACETS)
     return sorted(name for name in names if _differs(frame.glance(name), example))
 

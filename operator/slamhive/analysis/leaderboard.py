@@ -125,11 +125,8 @@ class Entry:
         """Reason in words for having no rank; empty where it has one."""
         if not np.isnan(self.rank):
             return ""
-        return "never succeeded" if any(map(np.isinf, self._medians)) else "nothing measured"
-
-    @property
-    def _medians(self) -> list[float]:
-        return [standing.median for standing in self.standings]
+        never = any(np.isinf(standing.median) for standing in self.standings)
+        return "never succeeded" if never else "nothing measured"
 
 
 @dataclass(frozen=True)
@@ -156,6 +153,7 @@ class Leaderboard:
         by: columns that tell competitors apart.
         boards: those with most runs first.
         pooled: settings that rows are over, with the number of their values.
+        whose: algorithms whose rows are over a setting, where not all are.
         notes: sentences on what is pooled.
     """
 
@@ -163,16 +161,23 @@ class Leaderboard:
     by: tuple[str, ...]
     boards: list[Board]
     pooled: dict[str, int] = field(default_factory=dict)
+    whose: dict[str, tuple[str, ...]] = field(default_factory=dict)
     notes: tuple[str, ...] = field(default=())
 
     @property
     def pooling(self) -> str:
-        """Sentence on the settings that each row is over; empty where there are none."""
+        """Sentence on the settings that rows are over; empty where there are none."""
         named = list(self.pooled)[:_MOST_NAMES]
-        told = [f"{self.pooled[name]} values of {name}" for name in named]
+        told = [f"{self.pooled[name]} values of {name}{self._whose(name)}" for name in named]
         told += [f"{len(self.pooled) - len(named)} further settings"] if len(self.pooled) > len(named) else []
         apart = ", ".join([*self.by, *named])
-        return f"Each row is over {', '.join(told)}: by {apart} tells them apart." if told else ""
+        return f"Rows are over {', '.join(told)}: by {apart} tells them apart." if told else ""
+
+    def _whose(self, name: str) -> str:
+        mine = self.whose.get(name, ())
+        return (
+            f" ({', '.join(mine) if len(mine) <= _MOST_NAMES else f'{len(mine)} algorithms'})" if mine else ""
+        )
 
 
 def leaderboard(
@@ -202,7 +207,7 @@ def leaderboard(
             "be ranked; fewer columns in by, or a condition on the runs, leave fewer"
         )
     boards = [_board(grid, draws) for grid in found.grids]
-    return Leaderboard(metric, tuple(by), boards, found.pooled, found.notes)
+    return Leaderboard(metric, tuple(by), boards, found.pooled, found.whose, found.notes)
 
 
 def _board(grid: Grid, draws: int) -> Board:

@@ -89,16 +89,3 @@ def _fences(ordered: npt.NDArray[np.float64]) -> tuple[float, float]:
 
 def _gains(whole: npt.NDArray[np.float64], inside: npt.NDArray[np.float64]) -> bool:
     return bool(whole[-1] - whole[0] >= GAIN * (inside[-1] - inside[0]) > 0)
-
-
-def is_steep(numbers: npt.ArrayLike) -> bool:
-    """Tell whether numbers had better stand on a logarithmic axis: all positive, over several decades.
-
-    Those far out don't tell.
-    """
-    found = np.asarray(numbers, dtype=np.float64).ravel()
-    found = found[np.isfinite(found)]
-    if not len(found) or (found <= 0).any():
-        return False
-    limits = robust_limits(found)
-    return limits is not None and limits.high / limits.low > STEEP

@@ -261,6 +261,7 @@ _TABLE = (
     Measure("usage.readerCpuSeconds", "CPU time of the reader", "s", _LOWER, short="reader"),
     Measure("usage.readerShare", "share of the reader", "", _LOWER),
     Measure("usage.wallSeconds", "wall time", "s", _LOWER),
+    Measure("usage.undisturbedSeconds", "undisturbed wall time", "s", _LOWER),
     Measure("usage.throttledSeconds", "", "s", _LOWER),
     Measure("usage.contendedSeconds", "", "s", _LOWER),
     Measure("usage.includesReader", "reader included"),
@@ -273,6 +274,9 @@ _TABLE = (
     Measure("frames.offered", "frames offered"),
     Measure("frames.processed", "frames processed", "", _HIGHER),
     Measure("frames.dropped", "frames dropped", "", _LOWER),
+    # What adapters note.
+    Measure("metrics.timePerFrame.mean", "mean time per frame", "s", _LOWER),
+    Measure("metrics.timePerFrame.max", "maximum time per frame", "s", _LOWER),
     # What a player notes of a node.
     Measure("metrics.latencySeconds.mean", "mean latency", "s", _LOWER),
     Measure(
@@ -375,6 +379,12 @@ def _listed(column: str) -> Measure | None:
     named = _STATISTICS.get(statistic, statistic)
     meaning = found.meaning.replace("{statistic}", named)
     return replace(found, name=column, text=text, unit=unit, short=found.short or text, meaning=meaning)
+
+
+def is_listed(column: str) -> bool:
+    """Tell whether a column, or one of its kind, is a measure; others may be of somebody's own."""
+    beside = BESIDE.fullmatch(column)
+    return _listed(beside[2] if beside else column.removeprefix(CAUSAL)) is not None
 
 
 def is_error(column: str) -> bool:

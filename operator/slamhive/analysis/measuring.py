@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from slamhive.model.base import seconds
+from slamhive.model.base import plural, seconds
 from slamhive.model.canonical import digest, normalize
 from slamhive.model.dataset import TruthFormat
 from slamhive.model.errors import InputError
@@ -248,7 +248,7 @@ def _measure_points(
         outside, estimate = len(estimate) - len(main), main
     values = evaluate_points(reference, estimate, options).as_dict()
     if outside:
-        values["notes"].append(f"{outside} poses that are not of the map over the longest path were left out")
+        values["notes"].append(f"left out: {plural(outside, 'pose')} not of the map over the longest path")
     return values
 
 

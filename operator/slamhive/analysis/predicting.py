@@ -292,11 +292,7 @@ def _offsets(quantity: Quantity, known: Sequence[Setting], asked: Sequence[Setti
 
 
 def _solve(
-    rows: Design,
-    used: Integers,
-    values: Floats,
-    counts: Floats,
-    begin: tuple[Floats, float, float],
+    rows: Design, used: Integers, values: Floats, counts: Floats, begin: tuple[Floats, float, float]
 ) -> tuple[Floats, Floats, float]:
     """Return the effects, their covariance, and the variance between settings.
 

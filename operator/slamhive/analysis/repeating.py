@@ -10,14 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.cells import different
-from slamhive.analysis.grouping import (
-    SUBJECT,
-    Groups,
-    aggregate,
-    apart,
-    pooling_notes,
-    varying,
-)
+from slamhive.analysis.grouping import SUBJECT, Groups, aggregate, apart, pooling_notes, varying
 from slamhive.analysis.measures import follows_trajectory
 
 if TYPE_CHECKING:

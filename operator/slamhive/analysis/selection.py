@@ -26,6 +26,7 @@ UNIQUE = ("id", "evaluation")
 """Columns that every order ends with, so that no two rows are equal in it."""
 
 _VERSION = "evaluationVersion"
+_CONTENT = ("provenance.contentHash", "evaluation", "settings")
 _LEAST_UID = 8
 _UNFINISHED = frozenset(phase.value for phase in Phase if not phase.is_finished)
 _INFRASTRUCTURE = frozenset(reason.value for reason in Reason if reason.is_infrastructure)
@@ -121,14 +122,12 @@ def meeting(frame: Frame, node: Node | None, *, superseded: bool = False, each: 
     notes = []
     if old:
         notes.append(f"{plural(old, 'run')} of earlier versions left out ({_why(frame, left_out)})")
-    if node is not None or left_out.any():
+    if not inside.all():
         frame = frame.select(inside)
     again = 0
     if not each:
-        unfinished = frame.column("phase").among(_UNFINISHED)
-        if unfinished.any():
-            notes.append(f"{plural(frame.count_runs(unfinished), 'run')} not finished yet")
-            frame = frame.select(~unfinished)
+        frame, waiting = finished(frame)
+        notes += waiting
         kept = once(frame)
         again = frame.count_runs(~kept)
         if again:
@@ -137,11 +136,20 @@ def meeting(frame: Frame, node: Node | None, *, superseded: bool = False, each: 
             frame = frame.select(kept)
     if not len(frame) and old:
         are = "is" if old == 1 else "are"
-        why = _why_alone(notes[0])
+        why = notes[0].partition("(")[2].rstrip(")")
         notes = [
             f"all {plural(old, 'run')} selected {are} of earlier versions ({why}): ask for superseded results"
         ]
     return Chosen(frame, (*notes, *_outdated_notes(frame)), old, again)
+
+
+def finished(frame: Frame) -> tuple[Frame, list[str]]:
+    """Return the rows of finished runs, and a sentence on the others where there are any."""
+    unfinished = frame.column("phase").among(_UNFINISHED)
+    if not unfinished.any():
+        return frame, []
+    note = f"{plural(frame.count_runs(unfinished), 'run')} not finished yet"
+    return frame.select(~unfinished), [note]
 
 
 def _with_versions(frame: Frame) -> Frame:
@@ -169,10 +177,6 @@ def _outdated_notes(frame: Frame) -> list[str]:
     return [f"{runs} measured by an earlier version of the evaluation: {what}"]
 
 
-def _why_alone(note: str) -> str:
-    return note.partition("(")[2].rstrip(")")
-
-
 def _why(frame: Frame, mask: Mask) -> str:
     """Return the reasons of superseded runs, each once."""
     column = frame.column("superseded")
@@ -185,26 +189,40 @@ def once(frame: Frame) -> Mask:
     Of equal ones a measured run stays, by the latest version of the evaluation; then one that the machine and
     the user let end; then one that was computed and not reused; then the latest.
     """
+    repeated = np.flatnonzero(frame.standing(_repeated, frozenset(_CONTENT)))
     kept = np.ones(len(frame), dtype=bool)
-    groups = contents(frame)
-    known = np.flatnonzero(groups >= 0)
-    if count_distinct(groups[known]) == len(known):
-        return kept
-    order = preference(frame)
-    order = order[groups[order] >= 0]
-    _, firsts = np.unique(groups[order], return_index=True)
-    kept[known] = False
-    kept[order[firsts]] = True
+    if len(repeated):
+        inside = frame.select(repeated)
+        order = preference(inside)
+        _, firsts = np.unique(contents(inside)[order], return_index=True)
+        kept[repeated] = False
+        kept[repeated[order[firsts]]] = True
     return kept
+
+
+def find_repeated(frame: Frame) -> None:
+    """Find the rows of equal content in a whole table, so that no question about a part of it has to."""
+    frame.standing(_repeated, frozenset(_CONTENT))
+
+
+def _repeated(frame: Frame) -> Mask:
+    """Tell which rows have a content that others have too, (n,)."""
+    groups = contents(frame)
+    known = groups >= 0
+    if count_distinct(groups[known]) == np.count_nonzero(known):
+        return np.zeros(len(frame), dtype=bool)
+    _, places, counts = np.unique(groups, return_inverse=True, return_counts=True)
+    found: Mask = known & (counts[places] > 1)
+    return found
 
 
 def contents(frame: Frame) -> Indices:
     """Return a number for each content, evaluation and settings, (n,); -1 where the content isn't known."""
-    content = frame.column("provenance.contentHash")
+    content = frame.column(_CONTENT[0])
     if content.kind.is_numeric:
         return np.full(len(frame), -1)
     groups = content.codes.astype(np.int64)
-    for name in ("evaluation", "settings"):
+    for name in _CONTENT[1:]:
         column = frame.column(name)
         codes = np.full(len(frame), -1) if column.kind.is_numeric else column.codes
         groups = groups * (len(column.values) + 1) + codes + 1
@@ -271,7 +289,10 @@ def _of_evaluation(frame: Frame, name: str) -> Frame:
 
 def first_rows(frame: Frame) -> Indices:
     """Return the place of the first row of each run, in their order."""
-    _, firsts = np.unique(frame.column("id").floats(), return_index=True)
+    ids = frame.column("id").floats()
+    if (ids[1:] >= ids[:-1]).all():
+        return np.flatnonzero(np.append(np.ones(min(len(ids), 1), dtype=bool), ids[1:] != ids[:-1]))
+    _, firsts = np.unique(ids, return_index=True)
     return np.sort(firsts)
 
 

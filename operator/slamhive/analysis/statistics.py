@@ -26,6 +26,8 @@ ENOUGH = 10
 """Repetitions from which on an interval is given; below, the points themselves say more."""
 
 _MANY = 100
+_ADDED = 1000
+"""Numbers of a group beyond which NumPy adds them up, several times as fast."""
 _MOST_EXACT = 14
 _FLIPS = 20_000
 _MOST_PLACED = 128
@@ -177,8 +179,8 @@ class Numbers:
 
     def summaries(self) -> Summaries:
         """Return the summary of each group; sums are exact until rounded."""
-        means = self._sums(self._values) / np.maximum(self.counts, 1)
-        deviations = self._values - np.repeat(means, self.counts)
+        means = self._sums(self._ordered) / np.maximum(self.counts, 1)
+        deviations = self._ordered - np.repeat(means, self.counts)
         squares = self._sums(deviations * deviations)
         several = self.counts > 1
         std = np.full(len(self.counts), np.nan)
@@ -187,16 +189,25 @@ class Numbers:
         return Summaries(self.counts, means, std, self.medians(), *self.ends())
 
     def _sums(self, values: Floats) -> Floats:
-        """Return the sum of each group, (groups,), as exact as `math.fsum`: that of two numbers is."""
+        """Return the sum of each group, (groups,), as exact as `math.fsum`: that of two numbers is.
+
+        Those of many are added in extended precision: rounded, that is the same but for the last digit now
+        and then.
+
+        Args:
+            values: the same, however the rows came: sorted, or made of such.
+        """
         found = np.zeros(len(self.counts))
         some = self.counts > 0
         found[some] += values[self._starts[some]]
         two = self.counts == 2
         found[two] += values[self._starts[two] + 1]
-        plain, fsum = values.tolist(), math.fsum
         more = np.flatnonzero(self.counts > 2)
-        edges_of_more = zip(self._starts[more].tolist(), self._ends[more].tolist(), strict=True)
-        found[more] = [fsum(plain[begin:end]) for begin, end in edges_of_more]
+        for group, begin, end in zip(
+            more.tolist(), self._starts[more].tolist(), self._ends[more].tolist(), strict=True
+        ):
+            part = values[begin:end]
+            found[group] = part.sum(dtype=np.longdouble) if end - begin > _ADDED else math.fsum(part.tolist())
         return found
 
 

@@ -463,7 +463,7 @@ class _Material:
         for name in names:
             if not varies(both, name):
                 continue
-            values = [_hashable(value) for value in both.column(name).tolist()]
+            values = [str(one) if isinstance(one, list | dict) else one for one in both.column(name).tolist()]
             sides = dict.fromkeys(values[: len(before)]), dict.fromkeys(values[len(before) :])
             if not sides[0].keys() & sides[1].keys():
                 differences.append(Difference(name, list(sides[0]), list(sides[1])))
@@ -477,10 +477,6 @@ def _ranks_failures(metric: str) -> bool:
     figure whose good direction nobody knows nothing is.
     """
     return not metric.startswith(LOAD) and measure_of(metric).better is not Better.NONE
-
-
-def _hashable(value: Any) -> Any:
-    return str(value) if isinstance(value, list | dict) else value
 
 
 def _worse(settings: Sequence[VersionSetting], sign: float) -> Floats:

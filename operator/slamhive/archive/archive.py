@@ -10,6 +10,7 @@ from sqlalchemy import Table, case, delete, exists, func, or_, select, update
 
 from slamhive.archive import documents, schema
 from slamhive.archive.connection import connect, insert_into, reading, shown, writing
+from slamhive.archive.digests import digests
 from slamhive.archive.documents import UNREADABLE, raw
 from slamhive.archive.patience import Patience, patient
 from slamhive.archive.records import (
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 
     from sqlalchemy import ColumnElement, Connection, Engine, Select
+
+    from slamhive.archive.digests import ArchiveDigests
 
 Item = TypeVar("Item")
 
@@ -130,6 +133,11 @@ class Archive:
         """UUID that tells this archive from every other one."""
         with reading(self._engine) as connection:
             return str(connection.execute(select(schema.schema_version.c.identity)).scalar_one())
+
+    def digests(self) -> ArchiveDigests:
+        """Return digests of its content, which differ where anything in it does."""
+        with reading(self._engine) as connection:
+            return digests(connection)
 
     def put_run(
         self, record: RunRecord, algorithm: CatalogEntry | None = None, dataset: CatalogEntry | None = None
@@ -811,9 +819,7 @@ def _conditions(
         values = [given] if isinstance(given, str) else list(given)
         if name == "outcome":
             results = schema.results.c
-            conditions.append(
-                exists().where(results.run_id == schema.runs.c.id, results.outcome.in_(values)),
-            )
+            conditions.append(exists().where(results.run_id == schema.runs.c.id, results.outcome.in_(values)))
         else:
             conditions.append(schema.runs.c[name].in_(values))
     if sweep is not None:

@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 import sqlite3
+import stat
 import uuid
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -78,7 +79,7 @@ _OF_FULL_DISKS = (sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN)
 
 _LEAST_BYTES = 1 << 16
 """Room that SQLite needs to open an archive at all: its index of the log has 32 KiB."""
-_DAMAGED = ("malformed", "Could not decode to UTF-8")
+_DAMAGED = ("malformed", "Could not decode to UTF-8", "no such table", "no such column")
 
 
 def connect(url: str, *, read_only: bool = False, held: bool = False) -> Engine:
@@ -99,7 +100,7 @@ def connect(url: str, *, read_only: bool = False, held: bool = False) -> Engine:
     parsed = parse(url)
     file = file_of(parsed)
     if file is not None:
-        if read_only and not file.is_file():
+        if read_only and not file.exists():
             raise InputError(f"no archive at {file}; slamhive demo, run and import make one")
         if not read_only and not file.exists():
             _make_file(file, parsed)
@@ -320,13 +321,15 @@ def require_content(file: Path) -> None:
     """Check that an SQLite file was not emptied: SQLite would take it for a new database in silence.
 
     Raises:
-        InputError: it has no content. A new archive is never seen that way.
+        InputError: it has no content, or is no file. A new archive is never seen that way.
     """
     try:
-        empty = file.stat().st_size == 0
+        known = file.stat()
     except OSError:
         return  # told when it is opened
-    if empty:
+    if not stat.S_ISREG(known.st_mode):
+        raise InputError(f"archive {file}: is no file; name another archive in SLAMHIVE_ARCHIVE")
+    if known.st_size == 0:
         raise InputError(
             f"archive {file}: the file is empty, so what it held is lost: `slamhive archive restore` puts a "
             "backup in its place; to begin anew, remove it"
@@ -445,6 +448,20 @@ def _prepare(engine: Engine, *, read_only: bool) -> None:
 
 
 def _make_tables(connection: Connection) -> None:
+    """Make the tables, in no database where another program has one of their names.
+
+    Raises:
+        InputError: It has.
+    """
+    found = inspect(connection)
+    for table in schema.metadata.sorted_tables:
+        if found.has_table(table.name):
+            there = {column["name"] for column in found.get_columns(table.name)}
+            if missing := [column.name for column in table.columns if column.name not in there]:
+                raise InputError(
+                    f"archive {shown(connection.engine.url)}: holds another program's table "
+                    f"{table.name!r}, which has no {missing[0]}; name another archive in SLAMHIVE_ARCHIVE"
+                )
     schema.metadata.create_all(connection)
     row = {"version": schema.VERSION, "identity": str(uuid.uuid4())}
     connection.execute(insert(schema.schema_version).values(row))

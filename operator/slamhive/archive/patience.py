@@ -83,9 +83,7 @@ class HasPatience(Protocol):
     patience: Patience | None
 
 
-def patient(
-    method: Callable[Concatenate[Any, Given], Answer],
-) -> Callable[Concatenate[Any, Given], Answer]:
+def patient(method: Callable[Concatenate[Any, Given], Answer]) -> Callable[Concatenate[Any, Given], Answer]:
     """Have a method of an archive tried again while its patience lasts."""
 
     @wraps(method)

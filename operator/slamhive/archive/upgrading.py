@@ -133,9 +133,7 @@ def copying(target: Path) -> Iterator[Path]:
 def _copy(origin: sqlite3.Connection, target: Path, share: Callable[[float], None] = lambda _: None) -> None:
     with closing(sqlite3.connect(target)) as copy, _one_moment(origin):
         origin.backup(
-            copy,
-            pages=_PAGES,
-            progress=lambda _, left, total: share(1 - left / total if total else 1.0),
+            copy, pages=_PAGES, progress=lambda _, left, total: share(1 - left / total if total else 1.0)
         )
         # Its log comes into the file, which so is all of it wherever it is carried.
         copy.execute("PRAGMA journal_mode = DELETE").close()

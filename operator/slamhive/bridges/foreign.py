@@ -179,7 +179,7 @@ class _TrajectoryTaking:
         self._evaluation = method(order.settings, self._subject)
         self._name = foreign_name(order.algorithm, order.label)
         self._sweep = SweepRecord(
-            uid=digest([SWEEP, order.label, order.source])[:32],
+            uid=digest([SWEEP, order.label])[:32],
             name=foreign_name(SWEEP, order.label),
             spec={},
             labels={"source": SWEEP},
@@ -211,6 +211,7 @@ class _TrajectoryTaking:
         intended = intended_evaluations(order.settings, order.sensors, None)
         known = self._known.get(uid[:32])
         if known is not None:
+            self._require_same_reading(path, known, measuring)
             done = [one for one in known.results if one.evaluation == self._evaluation]
             if done:
                 found.unchanged += 1
@@ -239,6 +240,25 @@ class _TrajectoryTaking:
         archive.put_run(record, self._algorithm_entry(), self._dataset)
         self._known[record.uid] = record
         found.added += 1
+
+    def _require_same_reading(self, path: Path, known: RunRecord, measuring: BoundedProcess) -> None:
+        """Refuse a file that is there already and would have other poses as it is read now.
+
+        Raises:
+            InputError: it would.
+        """
+        order = self._order
+        same = known.origin is None or known.origin.subject == SubjectItem.of(self._subject).as_json()
+        if same and (order.form or order.times) and known.trajectory is not None:
+            with tempfile.TemporaryDirectory(prefix="slamhive-import-") as folder:
+                aside = Path(folder) / FILE
+                write_tum(aside, self._ask(path, measuring)[1])
+                same = file_sha256(aside) == known.trajectory.sha256
+        if not same:
+            raise DataError(
+                f"{path}: is here already as {known.name}, read by another --format, --times, --frame or "
+                f"--sensors; slamhive results prune --records --where \"run == '{known.name}'\" forgets it"
+            )
 
     def _ask(self, path: Path, measuring: BoundedProcess) -> tuple[Result, Trajectory]:
         order = self._order
@@ -307,6 +327,9 @@ def _extrinsic(bench: Workbench, order: TrajectoryOrder, truth: GroundTruthPoses
         return None
     frame = np.eye(4)
     if order.frame != "body":
+        if order.dataset not in bench.workshop.datasets:
+            told = f"of {order.dataset!r} there is ground truth alone, and no sensor {order.frame!r}"
+            raise InputError(f"{told}; known: body", "frame")
         sensors = bench.dataset(order.dataset).dataset.spec.sensors
         if order.frame not in sensors:
             known = ", ".join(["body", *sensors])
@@ -329,10 +352,7 @@ def _measured(question: tuple[Any, ...], given: dict[str, Any]) -> tuple[Result,
         estimate = _on_clock(read_trajectory(path, form, times=times, unsorted="sort"), truth)
         if offset:
             estimate = Trajectory(
-                estimate.stamps + offset,
-                estimate.positions,
-                estimate.quaternions,
-                oriented=estimate.oriented,
+                estimate.stamps + offset, estimate.positions, estimate.quaternions, oriented=estimate.oriented
             )
         if isinstance(truth, Trajectory):
             # Measured, it would be a lost run; but another clock says nothing of an algorithm.

@@ -47,7 +47,11 @@ _CORES = "usage.cpu.meanCores"
 
 _UNTIMED = {pace.value for pace in Pace if pace is not Pace.REALTIME}
 _WHAT = ("algorithm", "sensors", "dataset", "sweep", "repetition", "seed")
-_SETTINGS = ("parameters", "input")
+_SETTINGS = {name: name for name in ("parameters", "input", "resources")} | {
+    "dataset.attributes": "the dataset's",
+    "label": "labels",
+}
+"""Families of settings, whose names say little alone, and what each is called."""
 _NUMBERS = (
     *("outcome", "coverage", "alignment", "ate.rmse", f"{CAUSAL}ate.rmse", "ate.max", "rpe[0].rmse"),
     *("rpe[0].rotationDeg.rmse", *LATENCIES, FACTOR),
@@ -91,7 +95,7 @@ def run_page(
     chosen = {kind: [name for name in held if name.startswith(f"{kind}.")] for kind in _SETTINGS}
     rest = [name for name in held if name not in {*_WHAT, *numbers, *chain(*chosen.values()), *_LEFT_OUT}]
     settings = [
-        (kind, ", ".join(f"{name.removeprefix(f'{kind}.')} {_text(name, row)}" for name in names))
+        (_SETTINGS[kind], ", ".join(f"{name.removeprefix(f'{kind}.')} {_text(name, row)}" for name in names))
         for kind, names in chosen.items()
         if names
     ]

@@ -213,7 +213,7 @@ def read_run(folder: Path) -> OriginalRun:
     for name in ("algorithm-remap", "dataset-remap"):
         if topics := _mapping(document, name):
             attributes[name] = topics
-    algorithm, sensors = identify(algorithm_name, _topic_names(attributes))
+    algorithm, sensors = identify(algorithm_name, {*attributes, *attributes.get("algorithm-remap", {})})
     if sensors is None:
         raise InputError(
             f"{document.where(('slam-hive-algorithm',))}: slam-hive-algorithm: {algorithm_name!r} and its "
@@ -352,10 +352,6 @@ def _mapping(document: Document, field: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise InputError(f"{document.where((field,))}: {field}: expected a mapping, found {value!r}")
     return dict(value)
-
-
-def _topic_names(attributes: dict[str, Any]) -> set[str]:
-    return {*attributes, *attributes.get("algorithm-remap", {})}
 
 
 def _natural(name: str) -> tuple[bool, int]:

@@ -77,14 +77,11 @@ class Writer:
                 step, moment = round(t * 1000), run.began + t
                 writer.add_scalar("usage/cpu_cores", run.series["cpu"][number], step, walltime=moment)
                 writer.add_scalar("usage/memory_bytes", run.series["memory"][number], step, walltime=moment)
-            tags = "\n".join(f"| {name} | {_cell(value)} |" for name, value in sorted(run.tags.items()))
+            cells = {name: printable(value).replace("|", "\\|") for name, value in sorted(run.tags.items())}
+            tags = "\n".join(f"| {name} | {cell} |" for name, cell in cells.items())
             writer.add_text("tags", f"| tag | |\n|---|---|\n{tags}", 0, walltime=end)
             files = "\n".join(f"- {path}" for path in run.files)
             writer.add_text("files", files or "none here", 0, walltime=end)
-
-
-def _cell(text: str) -> str:
-    return printable(text).replace("|", "\\|")
 
 
 def _written(target: Path) -> str | None:

@@ -167,7 +167,7 @@ def _tell_of_merge(plan: Merge) -> None:
     for sentence in plan.left_out[:_SHOWN]:
         remark(sentence)
     if len(plan.left_out) > _SHOWN:
-        remark(f"and {len(plan.left_out) - _SHOWN:,} more files are not copied")
+        remark(f"not copied, too: {plural(len(plan.left_out) - _SHOWN, 'more file')}")
     if plan.without:
         remark(f"{plural(plan.without, 'run')} without files there: only the records come")
 

@@ -91,8 +91,14 @@ def show_edits(jobs: Sequence[Job], home: Home) -> None:
         remark(_RAW)
         remark(_LOAD if any(_is_load(line) for line in lines) else _NO_LOAD)
     compared = {(edit.changed, edit.name) for edit in found if edit.settings}
+    untold = {key[1] for key, one in causes.items() if key not in compared and one.together}
     together = {name for key, one in causes.items() if key not in compared for name in one.together}
-    if together:
+    if untold and (told := together - untold):
+        remark(
+            f"{listing(sorted(untold))} was edited together with {listing(sorted(told))}: no run tells what "
+            "that edit did, so it is not compared; runs between two edits tell them apart"
+        )
+    elif together:
         remark(
             f"{listing(sorted(together))} were edited together: no run tells what each edit did, so none is "
             "compared; runs between two edits tell them apart"

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,13 +13,15 @@ import typer
 from slamhive.cli.parts.choosing import Also, Sweeps
 from slamhive.cli.parts.console import out, remark
 from slamhive.local.home.folder import Home
+from slamhive.model.base import plural
 from slamhive.model.extras import without
 from slamhive.tables.homes import homes_beside
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from slamhive.dashboard.sources.archived import Source
+    from slamhive.dashboard.publishing.building import BuiltSite
+    from slamhive.dashboard.publishing.state import MarkedSource
     from slamhive.tables.homes import Beside
 
 DEFAULT_PORT = 8323
@@ -106,10 +109,18 @@ def site(
     wish = SiteWish(sweep or (), title, base_url)
     home = Home.from_environment()
     others = homes_beside(home, also)
-    built = asyncio.run(build(folder, _source(home, others, ground_truth), wish))
+
+    async def made() -> BuiltSite:
+        # asyncio holds Ctrl-C back until something is waited for; here, that may take minutes.
+        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        return await build(folder, _source(home, others, ground_truth), wish)
+
+    built = asyncio.run(made())
+    done = "nothing is new" if built.same else f"{plural(built.added, 'file')} added or changed"
     out.print(
-        f"{folder}: {built.runs:,} runs, {built.answers:,} answers; {built.added:,} files added or changed, "
-        f"{built.files:,} files and {built.size / 1e6:.1f} MB in all",
+        f"{folder}: {plural(built.runs, 'run')}, {plural(built.answers, 'answer')}; {done}, "
+        f"{plural(built.files, 'file')} and {built.size / 1e6:.1f} MB in all",
         markup=False,
         highlight=False,
     )
@@ -120,7 +131,7 @@ def site(
     out.print(f"to look at it: python3 -m http.server -d {folder}", markup=False)
 
 
-def _source(home: Home, others: Sequence[Beside], ground_truth: Path | None) -> Source:
+def _source(home: Home, others: Sequence[Beside], ground_truth: Path | None) -> MarkedSource:
     """Return the archive of a home as pages read it, with those of others beside it."""
     from slamhive.dashboard.sources.archived import Workstation
     from slamhive.dashboard.sources.homes import Homes

@@ -316,7 +316,7 @@ def check(
         work.follow(bench.making)
         with bench.archive:
             entry = bench.dataset(name)
-            report = glance(entry) if quick else inspect(entry, bench.home.folder("truths"), work.share)
+            report = glance(entry) if quick else inspect(entry, bench.home.folder("truths"), work.part)
             keep(entry, report.findings, bench.home.path / FINDINGS, is_sample=quick)
     if as_json:
         typer.echo(json.dumps(report.as_json(), indent=2))
@@ -510,7 +510,7 @@ def _link(link: Path, recording: Path) -> None:
 
 def _remark_frames(frames: int, rate: float | None, seconds: float, resolution: float) -> None:
     told = f"{rate:.4g} Hz" if rate else "one frame"
-    remark(f"{frames} frames, {told}, {seconds:.1f} s, scale {resolution:g}")
+    remark(f"{plural(frames, 'frame')}, {told}, {seconds:.1f} s, scale {resolution:g}")
 
 
 def _input(  # noqa: PLR0917 - one for each option

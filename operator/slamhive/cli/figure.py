@@ -141,6 +141,7 @@ def figure(
     elif failing is not None or quantile is not None:
         raise InputError("--failing, --quantile: a rule for robustness alone")
     selection = select(sweep, evaluation, where, superseded=superseded)
+    selection = replace(selection, each=kind is FigureKind.ROBUSTNESS)
     home = Home.from_environment()
     others = homes_beside(home, also)
     frame, left_out = choose_runs(selection, "there is nothing to draw", others)

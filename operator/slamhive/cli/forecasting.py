@@ -312,7 +312,7 @@ def _processors(told: Forecast) -> Iterator[str]:
     same = told.processors.get(here, 0)
     places = listing([f"{count:,} on {name or 'an unknown one'}" for name, count in others.items()], 3)
     if same:
-        yield f"measured on this processor: {same:,} runs; on others: {places}"
+        yield f"measured on this processor: {plural(same, 'run')}; on others: {places}"
     else:
         yield f"measured on another processor than this one ({here}), so within wider limits: {places}"
 

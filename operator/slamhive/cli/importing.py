@@ -43,13 +43,14 @@ class _Systems(TyperGroup):
             args = ["slam-hive", *args]
         elif args and args[0] not in self.commands and args[0].lower().endswith(".zip"):
             args = ["bundle", *args]
+        elif args and args[0] not in self.commands and Path(args[0]).is_file():
+            told = f"{args[0]}: a file of poses, it seems: slamhive import trajectories FILE --dataset NAME …"
+            raise InputError(f"{told}; allowed here are a .zip and a folder")
         return super().resolve_command(ctx, args)
 
 
 app = typer.Typer(
-    cls=_Systems,
-    no_args_is_help=True,
-    help="Bring runs of other people and other systems into the archive.",
+    cls=_Systems, no_args_is_help=True, help="Bring runs of other people and other systems into the archive."
 )
 app.command("bundle")(import_bundle)
 app.command("trajectories")(import_trajectories)

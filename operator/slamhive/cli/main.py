@@ -52,14 +52,10 @@ COMMANDS = {
         "Tell whether an algorithm has become worse than what was recorded, by as few runs as make it sure.",
     ),
     "plan": _Command(
-        "plans",
-        "plan",
-        "Show the runs that sweeps expand to, without running them, or what they will cost.",
+        "plans", "plan", "Show the runs that sweeps expand to, without running them, or what they will cost."
     ),
     "validate": _Command(
-        "plans",
-        "validate",
-        "Check manifests: everything that run would refuse, and what is missing here.",
+        "plans", "validate", "Check manifests: everything that run would refuse, and what is missing here."
     ),
     "schema": _Command(
         "schemas",

@@ -16,7 +16,7 @@ from slamhive.cli.parts.console import command_name, out, remark
 from slamhive.local.home.catalog import editor_line, load_workshop
 from slamhive.local.home.folder import Home
 from slamhive.local.programs.starting import ExampleKind
-from slamhive.model.base import API_VERSION, plain_name, seconds
+from slamhive.model.base import API_VERSION, plain_name, plural, seconds
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.loading import parse
 from slamhive.model.synthetic import SyntheticSensor
@@ -357,7 +357,7 @@ def _write(kind: str, name: str, spec: dict[str, Any], target: Path, workshop: W
     finally:
         aside.unlink(missing_ok=True)
     runs = sum(plan.most_runs for _, plan in checked.plans)
-    out.print(f"wrote {target}" + (f": {runs} runs" if runs else ""), soft_wrap=True, markup=False)
+    out.print(f"wrote {target}" + (f": {plural(runs, 'run')}" if runs else ""), soft_wrap=True, markup=False)
 
 
 def _next(*steps: str) -> None:

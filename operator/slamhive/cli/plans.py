@@ -28,14 +28,19 @@ from slamhive.model.errors import InputError, SlamHiveError, sentence
 from slamhive.model.run import MappingRun
 from slamhive.model.sweep import Sweep
 from slamhive.plan import SearchPlan, local_uid, probed
+from slamhive.plan.paths import bounded
 from slamhive.sampling import require_sampler
 from slamhive.tables.text import short_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from slamhive.cli.parts.checked import Checked
     from slamhive.local.home.catalog import Workshop
     from slamhive.plan import Plan
+
+_MISFITS = 5
+"""Settings that don't fit, told one by one; validate tells of all."""
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILE…", help="Manifests: sweeps, runs, datasets …")]
 
@@ -49,8 +54,7 @@ def plan(
         bool, typer.Option("--json", help="Print every run as a line of JSON, or the estimate as JSON.")
     ] = False,
     estimate: Annotated[
-        bool,
-        typer.Option("--estimate", help="Print what they will cost: CPU and wall time, memory, disk."),
+        bool, typer.Option("--estimate", help="Print what they will cost: CPU and wall time, memory, disk.")
     ] = False,
     parallelism: Annotated[
         int | None,
@@ -63,7 +67,8 @@ def plan(
     """Show the runs that sweeps expand to, without running them, or what they will cost.
 
     Of a search it says how much that may try, and shows the runs of what was tried so far.
-    Names that are not in the catalog are allowed here; validate tells of them. An estimate comes from
+    Names that are not in the catalog are allowed here; validate tells of them. Settings that an algorithm
+    or recording of the catalog doesn't take are told, and planned all the same. An estimate comes from
     finished runs of the same algorithms, of this home and of those that --also names.
 
     Example: slamhive plan sweep.yaml --estimate
@@ -73,7 +78,7 @@ def plan(
     if not estimate and (parallelism is not None or also is not None):
         raise InputError("--parallelism and --also: of a plan they say something with --estimate alone")
     workshop = load_workshop(Home.from_environment())
-    checked = check_files(files, workshop, strict=False)
+    checked = check_files(files, workshop, strict=False, misfits=not (count or as_json))
     checked.refuse()
     plans = checked.plans
     if not plans:
@@ -82,8 +87,7 @@ def plan(
         out.print(sum(points.most_runs for _, points in plans))
         return
     if not as_json:
-        warn_impossible(plans, workshop)
-        _remark_repaired(plans, workshop)
+        _tell_doubts(checked, workshop)
     home = Home.from_environment()
     searches.recall(plans, home)
     if estimate:
@@ -129,6 +133,14 @@ def remark_without_effect(sweep: Sweep, points: Plan) -> None:
     """Say which settings have no effect on some of the recordings."""
     for told in probed(points).remarks():
         remark(f"{sweep.name}: {told}")
+
+
+def _tell_doubts(checked: Checked, workshop: Workshop) -> None:
+    """Say what a run of the plans would meet: settings that don't fit, faulty and repaired recordings."""
+    for told in bounded(checked.misfits, _MISFITS):
+        warn(f"run refuses it: {told}")
+    warn_impossible(checked.plans, workshop)
+    _remark_repaired(checked.plans, workshop)
 
 
 def warn_impossible(plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop) -> None:

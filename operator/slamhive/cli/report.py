@@ -26,10 +26,10 @@ from slamhive.cli.parts.choosing import (
     choose_runs,
     select,
 )
-from slamhive.cli.parts.console import remark
+from slamhive.cli.parts.console import bytes_text, remark
 from slamhive.data.files.outputs import output_whole
 from slamhive.local.home.folder import Home
-from slamhive.model.base import Choice
+from slamhive.model.base import Choice, plural
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.reporting.latex import Rules, latex
 from slamhive.reporting.overview import runs_of
@@ -78,8 +78,7 @@ def report(
     ] = None,
     title: Annotated[str | None, typer.Option(help="Heading of the page [SLAM comparison].")] = None,
     metric: Annotated[
-        str | None,
-        typer.Option("--metric", "-m", metavar="COLUMN", help="Column to rank by [ate.rmse]."),
+        str | None, typer.Option("--metric", "-m", metavar="COLUMN", help="Column to rank by [ate.rmse].")
     ] = None,
     by: Annotated[
         str | None, typer.Option(metavar="COLUMN,…", help="What tells competitors apart [algorithm,sensors].")
@@ -151,7 +150,7 @@ def report(
     page = report_html(frame, contents)
     _write(page, None if str(output) == "-" else output)
     if str(output) != "-":
-        remark(f"{output}: {runs_of(frame):,} runs, {len(page.encode()) / 1e6:.1f} MB")
+        remark(f"{output}: {plural(runs_of(frame), 'run')}, {bytes_text(len(page.encode()))}")
 
 
 def _refuse(options: Mapping[str, object]) -> None:
@@ -184,7 +183,7 @@ def _of_run(run: str, evaluation: str | None, title: str | None, output: Path) -
         page = run_page(record, here, rows_of(record), evaluation, title)
     _write(page, None if str(output) == "-" else output)
     if str(output) != "-":
-        remark(f"{output}: run {record.name}, {len(page.encode()) / 1e6:.1f} MB")
+        remark(f"{output}: run {record.name}, {bytes_text(len(page.encode()))}")
 
 
 def _check_numbers(frame: Frame, names: Sequence[str], field: str) -> None:
@@ -221,8 +220,7 @@ def paper_table(
         bool, typer.Option("--spread", help="Show the standard deviation, or with medians the range.")
     ] = False,
     best: Annotated[
-        Best,
-        typer.Option(help="Best bold, second underlined: of each column, or within each first row key."),
+        Best, typer.Option(help="Best bold, second underlined: of each column, or within each first row key.")
     ] = Best.COLUMN,
     overall: Annotated[
         str | None,
@@ -269,8 +267,8 @@ def paper_table(
     )
     layout = replace(
         layout,
-        rows=tuple(frame.resolve(name, "rows") for name in layout.rows),
-        columns=tuple(frame.resolve(name, "columns") for name in layout.columns),
+        rows=tuple(frame.resolve_key(name, "rows") for name in layout.rows),
+        columns=tuple(frame.resolve_key(name, "columns") for name in layout.columns),
     )
     names = [one.column for one in layout.metrics]
     frame.require(names, "metric")

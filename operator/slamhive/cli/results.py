@@ -86,6 +86,9 @@ TABLE_METRICS = (
 _WHERE_ANY = {SEARCHED, f"{CAUSAL}ate.rmse", LATE_SECONDS, FACTOR}
 _SAID_ONCE = ("sweep", "algorithm", "sensors", "dataset", "phase", "evaluation")
 _MOST_SETTINGS = 6
+_MOST_READ = 20
+"""Columns of a table that a wide screen shows side by side."""
+
 _MOST_PROBLEMS = 15
 _MOST_NOTE = 60
 
@@ -114,10 +117,7 @@ def list_results(
 
     Example: slamhive results list --where "outcome != 'Tracked'" --sort=-coverage
     """
-    found = _select(
-        Selection(_sweeps(sweep), evaluation, where, superseded=superseded, each=True),
-        also,
-    )
+    found = _select(Selection(_sweeps(sweep), evaluation, where, superseded=superseded, each=True), also)
     frame = found.frame
     wanted = _columns(columns, frame, "columns")
     same: dict[str, Any] = {}
@@ -149,6 +149,9 @@ def list_results(
                     for one in shown
                 ]
             _print(form, titles, lines)
+            hidden = [name for name in varying(frame) if name not in names] if columns is None else []
+            if hidden:
+                remark(f"{plural(len(hidden), 'more setting')} varied: --columns shows them")
             for note in (*meanings(frame, names), *late_notes(frame, names), *disproportion_notes(frame)):
                 remark(note)
             _remark(found)
@@ -199,7 +202,7 @@ def show_table(
     chosen = _select(Selection(_sweeps(sweep), evaluation, where, superseded=superseded), also)
     frame = chosen.frame
     metrics = [Metric.parse(text) for text in metric or usual_columns(TABLE_METRICS, frame, filled=True)]
-    by, across = _columns(rows, frame, "rows"), _columns(columns, frame, "columns") or []
+    by, across = _keys(rows, frame, "rows"), _keys(columns, frame, "columns") or []
     frame.require([*(one.column for one in metrics), *(by or ()), *across])
     with uncollected():
         found = aggregate(frame, [one.column for one in metrics], by, outcomes, across)
@@ -228,6 +231,8 @@ def show_table(
             with declared_units(frame.units), uncollected():
                 written = table_columns(found, across, metrics, {*shared, *implied(found, by or ())})
                 _print_columns(form, *written)
+            if len(written[0]) > _MOST_READ:
+                remark(f"{len(written[0])} columns: --rows NAME,… chooses among them; --format csv has all")
             shown = [*(one.column for one in metrics), "coverage"]
             said = meanings(frame, shown) if found.cells else []
             for note in (*said, *found.notes, *disproportion_notes(frame)):
@@ -343,11 +348,7 @@ def _hand_over(to: BridgeTarget, output: Path | None, selection: Selection, unus
 
 
 @app.command("measure")
-def measure(
-    *,
-    where: Where = None,
-    sweep: SweepName = None,
-) -> None:
+def measure(*, where: Where = None, sweep: SweepName = None) -> None:
     """Measure finished runs again whose results an earlier version of the evaluation made.
 
     Their trajectories must still be on this machine. Nothing is run again. Ends with 1 if the machine or a
@@ -464,6 +465,12 @@ def _columns(text: str | None, frame: Frame, argument: str) -> list[str] | None:
     """Return the columns that an option names, each in whole or by its last part where that is clear."""
     names = _names(text)
     return None if names is None else [frame.resolve(name, argument) for name in names]
+
+
+def _keys(text: str | None, frame: Frame, argument: str) -> list[str] | None:
+    """Return the columns by which an option tells runs apart."""
+    names = _names(text)
+    return None if names is None else [frame.resolve_key(name, argument) for name in names]
 
 
 def _sorted(frame: Frame, sort: str | None, usual: Sequence[str] = ()) -> Frame:

@@ -121,8 +121,7 @@ def run(
     ] = None,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Do failed runs again.")] = False,
     watch: Annotated[
-        bool,
-        typer.Option("--watch", help="Stay, and do what is stale or new whenever a file is saved."),
+        bool, typer.Option("--watch", help="Stay, and do what is stale or new whenever a file is saved.")
     ] = False,
     bell: Annotated[bool, typer.Option("--bell", help="Ring the terminal's bell at the end.")] = False,
     log_format: LogFormat = ProgressFormat.TEXT,
@@ -231,10 +230,7 @@ def _watch(files: Sequence[Path], home: Home, how: _How, *, bell: bool) -> int:
             return code
 
 
-def demo(
-    *,
-    parallelism: Parallelism = None,
-) -> None:
+def demo(*, parallelism: Parallelism = None) -> None:
     """Compare real algorithms on a generated recording: a table, what won, at what cost, what next.
 
     Example: slamhive demo

@@ -37,9 +37,7 @@ Name = Annotated[
 
 @app.command("show")
 def show_search(
-    name: Name,
-    *,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    name: Name, *, as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False
 ) -> None:
     """Show what a search tried: settings, their figures, why some were dropped, and the best so far.
 
@@ -99,7 +97,8 @@ def best(
         if not sweep:
             sys.stdout.write(run_manifest(run, title))
         else:
-            across = [axis for axis in record.spec["matrix"] if _label(axis) in _across(story)]
+            labels = {label for context in story.contexts for label in context}
+            across = [axis for axis in record.spec["matrix"] if _label(axis) in labels]
             spec = spec_again(run)
             for axis in across:
                 if axis.get("path") == "dataset":
@@ -159,7 +158,9 @@ def _chosen(record: SweepRecord, story: SearchStory, number: int | None) -> Trie
         InputError: it isn't clear which one, or there is none.
     """
     if story.search.method is SearchMethod.THRESHOLD:
-        raise InputError(f"sweep {record.name}: seeks a threshold, so no setting of it is the best")
+        raise InputError(
+            f"sweep {record.name}: seeks a threshold, so no setting of it is the best: {_card(record)}"
+        )
     if number is not None:
         if not 0 <= number < len(story.trials):
             least = f"0 to {len(story.trials) - 1}" if story.trials else "none yet"
@@ -180,10 +181,6 @@ def _chosen(record: SweepRecord, story: SearchStory, number: int | None) -> Trie
 
 def _label(axis: dict[str, Any]) -> str:
     return str(axis.get("name") or axis.get("path") or "")
-
-
-def _across(story: SearchStory) -> set[str]:
-    return {label for context in story.contexts for label in context}
 
 
 def _table(story: SearchStory) -> tuple[list[str], list[list[str]]]:
@@ -248,12 +245,20 @@ def _words(story: SearchStory, trial: TriedSetting) -> str:
     return f"setting {trial.number}: {_figures(story, trial)} ({made}){failed}"
 
 
+def _card(record: SweepRecord) -> str:
+    """Return the command that says what a search for thresholds found."""
+    namespace = f"{record.namespace}/" if record.namespace else ""
+    return f"slamhive results robustness --sweep {namespace}{record.name}"
+
+
 def _sentences(record: SweepRecord, story: SearchStory) -> list[str]:
     goals = " and ".join(
         f"{one.metric} {'large' if one.goal is Goal.MAXIMIZE else 'small'}" for one in story.search.objectives
     )
     told = [f"{record.name}: {story.search.method}{f' to make {goals}' if goals else ''}. {story.message}"]
     told += [f"best: {_words(story, story.trials[number])}" for number in story.best]
+    if story.search.method is SearchMethod.THRESHOLD:
+        told.append(f"where it breaks: {_card(record)}")
     spared = (
         f", {plural(story.ended - story.computed, 'run')} took an equal result"
         if story.ended > story.computed

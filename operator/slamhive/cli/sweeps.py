@@ -66,10 +66,7 @@ def list_sweeps(
 
 
 @app.command("rename")
-def rename(
-    name: Name,
-    new: Annotated[str, typer.Argument(metavar="NEW", help="New name.")],
-) -> None:
+def rename(name: Name, new: Annotated[str, typer.Argument(metavar="NEW", help="New name.")]) -> None:
     """Give a sweep another name. It keeps its identity, and its runs theirs, with names and folders.
 
     Change the name in its file too: a file with the old name is refused.
@@ -85,12 +82,7 @@ def rename(
 
 
 @app.command("remove")
-def remove(
-    name: Name,
-    *,
-    yes: Yes = False,
-    dry_run: DryRun = False,
-) -> None:
+def remove(name: Name, *, yes: Yes = False, dry_run: DryRun = False) -> None:
     """Forget a sweep: its runs with files and records. To keep the numbers: results prune --sweep NAME.
 
     Example: slamhive sweep remove test7 --dry-run
@@ -104,12 +96,7 @@ def remove(
         return set(uids_of(frame.select(_of(frame, uids))))
 
     prune_chosen(
-        home,
-        chosen,
-        records=True,
-        yes=yes,
-        dry_run=dry_run,
-        then=lambda archive: archive.remove_sweeps(uids),
+        home, chosen, records=True, yes=yes, dry_run=dry_run, then=lambda archive: archive.remove_sweeps(uids)
     )
     if not dry_run:
         out.print(f"forgotten: sweep {name}", markup=False)

@@ -151,9 +151,9 @@ class _Examination:
             did = f"started {often} on {asked.dataset or recording_for(mode)}"
             verdict = rows.ran(ended)
             yield verdict.at("", "", did)
-            for finding in self._of_sound(ended, variant) if verdict.answer == "pass" else ():
+            for finding in self._of_sound(ended, variant) if verdict.answer != "fail" else ():
                 yield finding.at("", "", did)
-            if verdict.answer == "pass":
+            if verdict.answer != "fail":
                 yield from self._stepped(asked.dataset or recording_for(mode))
                 yield from self._of_unsound(ended[-1])
         except SlamHiveError as error:

@@ -47,10 +47,7 @@ def damaged(variant: Variant, damage: Damage, folder: Path) -> Variant:
     path = place / FILE_NAMES[variant.format]
     form = RecordingFormat(variant.format)
     view = variant.sensors[damage.missing] if damage.missing else None
-    with (
-        Recording([variant.path], form) as source,
-        RecordingWriter(source, path, form) as to,
-    ):
+    with Recording([variant.path], form) as source, RecordingWriter(source, path, form) as to:
         kept = [one for one in source.connections if view is None or one.topic != view.topic]
         for connection in kept:
             to.announce(connection)

@@ -53,7 +53,7 @@ def stepped(spec: AlgorithmSpec, node: RosNode, ended: Sequence[CheckEnd]) -> Fi
     """Say whether starts frame by frame, where nothing is dropped for want of time, gave equal poses."""
     check = "stepped"
     verdict = ran(ended)
-    if verdict.answer != "pass":
+    if verdict.answer == "fail":
         return failed(check, verdict.found, verdict.help)
     records = [one.record for one in ended]
     offered = sum((one.frames.offered or 0) for one in records if one.frames is not None)

@@ -12,7 +12,7 @@ import numpy as np
 from slamhive.conformance.findings import Finding, failed, passed, skipped, warned
 from slamhive.conformance.readings import MANY_DROPPED, TOO_SLOW
 from slamhive.model.algorithm import Poses
-from slamhive.model.results import Phase, Reason
+from slamhive.model.results import Phase, Reason, remark_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,6 +32,8 @@ _STILL_METRES, _STILL_RADIANS = 0.05, 0.03
 _EQUAL = 1e-9
 _MIB = 1 << 20
 
+_MEND = "mend what it names: runs that are counted say it each time"
+
 _WHAT_HELPS = {
     Reason.DEADLINE_EXCEEDED: "see where it waits; --timeout gives it longer",
     Reason.OUT_OF_MEMORY: "a run has 4Gi unless it asks for more: keep less of the map, or read as you go",
@@ -50,11 +52,19 @@ def ran(ended: Sequence[CheckEnd]) -> Finding:
     """Say whether all starts ended well."""
     bad = [one.record for one in ended if one.record.phase is not Phase.SUCCEEDED]
     if not bad:
-        return passed("runs", f"{len(ended)} of {len(ended)} ended well")
+        told = f"{len(ended)} of {len(ended)} ended well"
+        remark = next(filter(None, (_remark(one.record) for one in ended)), "")
+        return warned("runs", f"{told}; {remark}", _MEND) if remark else passed("runs", told)
     first = bad[0]
     how = _WHAT_HELPS.get(first.reason, "") if first.reason else ""
     told = f"{len(bad)} of {len(ended)} failed: {first.reason}: {first.message}"
     return failed("runs", told, how or "try it again; it is the machine's fault, not the algorithm's")
+
+
+def _remark(record: RunRecord) -> str:
+    """Return the remark on a run that ended well, without that on its load."""
+    doubt = remark_of(record.usage, None) or ""
+    return (record.message or "").removeprefix(doubt).removeprefix("; ")
 
 
 def settings(spec: AlgorithmSpec, ended: CheckEnd) -> Finding | None:
@@ -241,7 +251,7 @@ def cost(seconds: float, ended: Sequence[CheckEnd]) -> Finding:
     """Tell time and memory, and whether anything speaks against the figures."""
     check = "time and memory"
     records = [one.record for one in ended]
-    walls = [one for one in map(_wall, records) if one is not None]
+    walls = [one.usage.wall_seconds for one in records if one.usage and one.usage.wall_seconds is not None]
     cpus = [one.usage.cpu.seconds for one in records if one.usage and one.usage.cpu.seconds is not None]
     peaks = [one.usage.memory.peak_bytes for one in records if one.usage and one.usage.memory.peak_bytes]
     if not walls or not cpus or not peaks:
@@ -263,7 +273,3 @@ def cost(seconds: float, ended: Sequence[CheckEnd]) -> Finding:
         how += "say includesReader: true; without that its CPU is marked beside others'"
         return warned(check, f"{told}; whether the reading of the recording is in it isn't known", how)
     return passed(check, told)
-
-
-def _wall(record: RunRecord) -> float | None:
-    return record.usage.wall_seconds if record.usage else None

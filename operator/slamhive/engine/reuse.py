@@ -50,10 +50,7 @@ class LoadConditions(NamedTuple):
     def machine(self) -> Machine | None:
         """Return them as they stand in a record, beside the processor; None where nothing is known."""
         found = Machine(
-            smt=self.smt,
-            governor=self.governor,
-            turbo=self.turbo,
-            exclusive_cores=self.exclusive_cores,
+            smt=self.smt, governor=self.governor, turbo=self.turbo, exclusive_cores=self.exclusive_cores
         )
         return found if found.as_json() else None
 

@@ -19,12 +19,17 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from slamhive.model.base import plural
 from slamhive.model.search import Goal, SettingAggregate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from slamhive.model.search import Search, Trial
+
+
+UNKNOWN = "nothing is known of its runs: the machine or the measuring failed, or no result has the figure"
+"""Reason to drop a setting of which no run says anything."""
 
 
 @dataclass(frozen=True)
@@ -266,7 +271,7 @@ def _compare(
     """Judge a setting after a step: it goes on, or is dropped with a word why."""
     standing.runs = size
     if score is None:
-        standing.dropped = "nothing is known of its runs: the machine failed, or the measuring"
+        standing.dropped = UNKNOWN
         return
     better, others = compared.better(score), len(compared)
     compared.add(score)
@@ -275,7 +280,7 @@ def _compare(
     if size == block:
         return
     if score.failed == 1:
-        standing.dropped = f"all of its {size} runs failed"
+        standing.dropped = "its one run failed" if size == 1 else f"all of its {size} runs failed"
     elif better >= math.ceil((others + 1) / keep):
         standing.dropped = f"after {size} of {block} runs {better} of {others} were better"
 
@@ -349,4 +354,4 @@ def best_of(standings: Sequence[TrialStanding]) -> list[TrialStanding]:
 
 def _ended(standings: Sequence[TrialStanding]) -> str:
     complete = sum(one.is_complete for one in standings)
-    return f"{len(standings)} settings were tried, {complete} of them with all runs"
+    return f"{plural(len(standings), 'setting')} tried, {complete} of them with all runs"

@@ -2,7 +2,8 @@
 """Sharing of slots: how many runs each of several Sweeps may have in flight, by weight. Pure.
 
 Slots are divided as water fills vessels (weighted max-min fairness): nobody gets more than it asks for, and
-what one leaves goes to the others by their weights. Namespaces come first, then the Sweeps in each. A fair
+what one leaves goes to the others by their weights. Those of a higher priority come before all others; among
+equal ones namespaces come first, then the Sweeps in each. A fair
 number is no whole one, and runs are never broken off for it: whoever is behind gets the next slot that is
 free. Where that is not decided by whole slots, who was left short for the longest time comes first, so that
 with fewer slots than Sweeps all have their turns.
@@ -11,13 +12,18 @@ with fewer slots than Sweeps all have their turns.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
 _NEARLY = 1e-9
+
+Group = tuple[int, str]
+"""Sweeps of one priority in one namespace."""
+_Name = TypeVar("_Name", str, Group)
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,7 @@ class Contender:
         asks: further slots that it would take now.
         weight: its weight in its namespace.
         since: since when it is there, s: of equal ones the oldest comes first.
+        priority: it is served before all that have a lower one.
     """
 
     name: str
@@ -39,6 +46,12 @@ class Contender:
     asks: int
     weight: int = 1
     since: float = 0.0
+    priority: int = 0
+
+    @property
+    def group(self) -> Group:
+        """Return the group that it shares the slots of its priority in."""
+        return self.priority, self.namespace
 
     @property
     def demand(self) -> int:
@@ -68,11 +81,11 @@ class Division:
 
     Attributes:
         sweeps: by the name of the Sweep.
-        namespaces: by the name of the namespace.
+        groups: by priority and namespace.
     """
 
     sweeps: Mapping[str, float] = field(default_factory=dict)
-    namespaces: Mapping[str, float] = field(default_factory=dict)
+    groups: Mapping[Group, float] = field(default_factory=dict)
 
 
 def fill(amount: float, vessels: Sequence[tuple[float, float]]) -> list[float]:
@@ -102,25 +115,42 @@ def divide(
         contenders: Sweeps with runs in flight or to start.
         rules: of namespaces.
     """
-    rules = rules or {}
-    spaces: dict[str, list[Contender]] = {}
-    for one in contenders:
-        spaces.setdefault(one.namespace, []).append(one)
+    contenders, rules = [*contenders], rules or {}
+    sweeps: dict[str, float] = {}
+    groups: dict[Group, float] = {}
+    used: dict[str, float] = {}
+    for priority in sorted({one.priority for one in contenders}, reverse=True):
+        left = None if capacity is None else capacity - sum(used.values())
+        inside: dict[str, list[Contender]] = {}
+        for one in contenders:
+            if one.priority == priority:
+                inside.setdefault(one.namespace, []).append(one)
+        for space, part in _divide_equals(left, inside, rules, used).items():
+            fairs = fill(part, [(one.weight, one.demand) for one in inside[space]])
+            sweeps |= {one.name: fair for one, fair in zip(inside[space], fairs, strict=True)}
+            groups[priority, space] = part
+            used[space] = used.get(space, 0.0) + part
+    return Division(sweeps, groups)
+
+
+def _divide_equals(
+    capacity: float | None,
+    inside: Mapping[str, Sequence[Contender]],
+    rules: Mapping[str, NamespaceRule],
+    used: Mapping[str, float],
+) -> dict[str, float]:
+    """Return the fair numbers of slots of namespaces, for their Sweeps of one priority."""
     vessels = []
-    for space, inside in spaces.items():
+    for space, some in inside.items():
         rule = rules.get(space, _NO_RULE)
-        demand = sum(one.demand for one in inside)
-        most = demand if rule.slots is None else min(rule.slots, demand)
-        vessels.append((rule.weight or max(one.weight for one in inside), most))
+        demand: float = sum(one.demand for one in some)
+        if rule.slots is not None:
+            demand = min(max(0.0, rule.slots - used.get(space, 0.0)), demand)
+        vessels.append((rule.weight or max(one.weight for one in some), demand))
     # An endless amount has no share: nobody gets more than all ask for.
     amount = sum(demand for _, demand in vessels)
     parts = fill(amount if capacity is None else min(capacity, amount), vessels)
-    namespaces = dict(zip(spaces, parts, strict=True))
-    sweeps: dict[str, float] = {}
-    for space, inside in spaces.items():
-        fairs = fill(namespaces[space], [(one.weight, one.demand) for one in inside])
-        sweeps |= {one.name: fair for one, fair in zip(inside, fairs, strict=True)}
-    return Division(sweeps, namespaces)
+    return dict(zip(inside, parts, strict=True))
 
 
 @dataclass
@@ -130,11 +160,11 @@ class SlotTurns:
     Attributes:
         sweeps: slot-seconds that a Sweep, by its name, is behind its fair number, as far as whole slots are
             the reason.
-        namespaces: the same of namespaces.
+        groups: the same of namespaces, by priority.
     """
 
     sweeps: dict[str, float] = field(default_factory=dict)
-    namespaces: dict[str, float] = field(default_factory=dict)
+    groups: dict[Group, float] = field(default_factory=dict)
 
     def pass_by(self, seconds: float, contenders: Sequence[Contender], division: Division) -> None:
         """Let time pass, in which contenders held what they hold.
@@ -146,7 +176,7 @@ class SlotTurns:
         """
         held = {one.name: one.held for one in contenders}
         self.sweeps = _owed(self.sweeps, seconds, held, division.sweeps)
-        self.namespaces = _owed(self.namespaces, seconds, _by_namespace(contenders), division.namespaces)
+        self.groups = _owed(self.groups, seconds, _by_group(contenders), division.groups)
 
     def next(
         self,
@@ -167,7 +197,10 @@ class SlotTurns:
         free = sum(one.asks for one in there)
         if capacity is not None:
             free = min(free, max(0, capacity - sum(one.held for one in contenders)))
-        held, spaces = {one.name: one.held for one in contenders}, _by_namespace(contenders)
+        held = {one.name: one.held for one in contenders}
+        groups, spaces = _by_group(contenders), Counter[str]()
+        for (_, space), count in groups.items():
+            spaces[space] += count
         most = {space: rule.slots for space, rule in (rules or {}).items() if rule.slots is not None}
         order: list[str] = []
         while len(order) < free:
@@ -179,18 +212,20 @@ class SlotTurns:
             ]
             if not there:
                 break
-            oldest: dict[str, float] = {}
+            highest = max(one.priority for one in there)
+            oldest: dict[Group, float] = {}
             for one in there:
-                oldest[one.namespace] = min(one.since, oldest.get(one.namespace, one.since))
-            space = min(
+                if one.priority == highest:
+                    oldest[one.group] = min(one.since, oldest.get(one.group, one.since))
+            group = min(
                 oldest,
                 key=lambda one: (
-                    *_rank(division.namespaces[one], spaces[one], self.namespaces.get(one, 0.0)),
+                    *_rank(division.groups[one], groups[one], self.groups.get(one, 0.0)),
                     *(oldest[one], one),
                 ),
             )
             chosen = min(
-                (one for one in there if one.namespace == space),
+                (one for one in there if one.group == group),
                 key=lambda one: (
                     *_rank(division.sweeps[one.name], held[one.name], self.sweeps.get(one.name, 0.0)),
                     *(one.since, one.name),
@@ -198,7 +233,8 @@ class SlotTurns:
             )
             order.append(chosen.name)
             held[chosen.name] += 1
-            spaces[space] += 1
+            groups[group] += 1
+            spaces[chosen.namespace] += 1
         return order
 
 
@@ -209,20 +245,23 @@ def _rank(fair: float, held: int, owed: float) -> tuple[int, float]:
     return (1 if held + _NEARLY < fair else 2), -owed
 
 
-def _by_namespace(contenders: Iterable[Contender]) -> dict[str, int]:
-    """Return the slots that the Sweeps of each namespace hold."""
-    held: dict[str, int] = {}
+def _by_group(contenders: Iterable[Contender]) -> dict[Group, int]:
+    """Return the slots that the Sweeps of each group hold."""
+    held: dict[Group, int] = {}
     for one in contenders:
-        held[one.namespace] = held.get(one.namespace, 0) + one.held
+        held[one.group] = held.get(one.group, 0) + one.held
     return held
 
 
 def _owed(
-    before: Mapping[str, float], seconds: float, held: Mapping[str, int], fairs: Mapping[str, float]
-) -> dict[str, float]:
+    before: Mapping[_Name, float], seconds: float, held: Mapping[_Name, int], fairs: Mapping[_Name, float]
+) -> dict[_Name, float]:
     """Return the slot-seconds that each is behind after some more seconds."""
+    # One that came, or got another priority, since these numbers were told begins anew.
     return {
-        name: before.get(name, 0.0) + seconds * _short(fairs[name], count) for name, count in held.items()
+        name: before.get(name, 0.0) + seconds * _short(fairs[name], count)
+        for name, count in held.items()
+        if name in fairs
     }
 
 

@@ -12,7 +12,7 @@ import enum
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from slamhive.model.base import Choice, seconds
+from slamhive.model.base import Choice, plural, seconds
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -132,7 +132,10 @@ def _limit(
 ) -> tuple[Verdict, str] | None:
     failed = counts[PointState.FAILED]
     if spec.max_failures is not None and failed > spec.max_failures:
-        return Verdict.TOO_MANY_FAILURES, f"{failed} runs failed, maxFailures is {spec.max_failures}"
+        return (
+            Verdict.TOO_MANY_FAILURES,
+            f"{plural(failed, 'run')} failed, maxFailures is {spec.max_failures}",
+        )
     budget = spec.budget
     if budget.wall_time is not None and seen.started_at is not None:
         spent = now - seen.started_at

@@ -19,7 +19,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from slamhive.engine.searching import Score, SearchDecision, TrialStanding
+from slamhive.engine.searching import UNKNOWN, Score, SearchDecision, TrialStanding
+from slamhive.model.base import plural
 from slamhive.model.search import VALUES_NEAR, VALUES_UNKNOWN, Trial
 
 if TYPE_CHECKING:
@@ -112,7 +113,11 @@ def decide_threshold(
         bound = min(bound or (number + 1, place), (number + 1, place))
     standings = tuple(_standing(number, one) for number, one in enumerate(judged))
     is_over = not wanted and not draws
-    message = f"{len(space.series)} thresholds were sought by {len(trials)} values" if is_over else ""
+    message = (
+        f"{plural(len(space.series), 'threshold')} sought by {plural(len(trials), 'value')}"
+        if is_over
+        else ""
+    )
     return SearchDecision(wanted, tuple(draws), standings=standings, is_over=is_over, message=message)
 
 
@@ -247,11 +252,10 @@ def _widest(ladder: Ladder, rungs: Sequence[int]) -> tuple[int, ...]:
 def _standing(number: int, one: _JudgedValue) -> TrialStanding:
     is_done = not one.missing
     is_known = one.tally.known > 0
-    unknown = "nothing is known of its runs: the machine failed, or the measuring"
     return TrialStanding(
         number,
         scores=[Score(one.tally.share, ())] if is_known else [],
         runs=one.runs,
-        dropped=unknown if is_done and not is_known else None,
+        dropped=UNKNOWN if is_done and not is_known else None,
         is_complete=is_done and is_known,
     )

@@ -178,14 +178,8 @@ def cost_of(frame: Frame) -> str:
     """Return the column of the cost that is meant where nothing was said: mean cores in real time alone."""
     if by_clock(frame).any():
         return "usage.cpu.meanCores"
-    known = [
-        name for name in ("usage.cpu.secondsPerDataSecond", "usage.cpu.meanCores") if _holds(frame, name)
-    ]
-    return known[0] if known else "usage.memory.peakBytes"
-
-
-def _holds(frame: Frame, name: str) -> bool:
-    return not frame.column(name).is_empty
+    names = ("usage.cpu.secondsPerDataSecond", "usage.cpu.meanCores")
+    return next((name for name in names if not frame.column(name).is_empty), "usage.memory.peakBytes")
 
 
 def setting_of(frame: Frame, number: int = 0, otherwise: str = "dataset") -> str:

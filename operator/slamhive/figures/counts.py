@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from slamhive.analysis.grouping import Outcomes
+from slamhive.model.base import plural
 from slamhive.tables.text import counts_text
 
 if TYPE_CHECKING:
@@ -55,10 +56,11 @@ class Tally:
             outcomes: which runs count.
             above: whether those left out are counted in the figure.
         """
-        kind = "tracked runs" if outcomes is Outcomes.TRACKED else "evaluated runs"
+        kind = "tracked run" if outcomes is Outcomes.TRACKED else "evaluated run"
+        counted = plural(self.n + self.copies, kind)
         if self.copies:
-            kind = f"different results of {self.n + self.copies:,} {kind}"
+            counted = f"{plural(self.n, 'different result')} of {counted}"
         if not self.failures:
-            return [f"n = {self.n:,} {kind}, none left out"]
+            return [f"n = {counted}, none left out"]
         where = "; the grey field counts them at their place" if above else ""
-        return [f"n = {self.n:,} {kind} of {self.runs:,}; left out: {counts_text(self.failures)}{where}"]
+        return [f"n = {counted} of {self.runs:,}; left out: {counts_text(self.failures)}{where}"]

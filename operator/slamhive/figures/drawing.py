@@ -21,7 +21,7 @@ from slamhive.model import extras
 from slamhive.reporting.markup import shortened
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from slamhive.figures.pictures import Mark, Panel, Picture
     from slamhive.figures.widths import Width
@@ -33,6 +33,10 @@ _NARROW = 5.4
 _MOST_ACROSS = 4
 _LETTER = 0.56
 """Width of a letter over its height, about."""
+_SIGN = 3.4
+"""Width of a sign of the legend with the room around it, over the size of letters."""
+_FEWEST = 8
+"""Letters that a text of the legend keeps."""
 
 _SHAPE = 0.74
 _WIDE = 50.0
@@ -53,6 +57,9 @@ _FIELD = "#ececec"
 _INK = "#404040"
 _MOST_VALUES = 2
 """Numbers outside of an axis at one place that are written one by one."""
+
+_TOP = 0.85
+"""Share of the height from which on there is no room for a number above."""
 
 _MOST_LINES = 3
 _MOST_DECADES = 6
@@ -211,8 +218,7 @@ class Drawing:
             turned = side == "x" and self._turned()
             own.set_ticks(range(len(texts)))
             own.set_ticklabels(
-                texts,
-                **({"rotation": 35, "ha": "right", "rotation_mode": "anchor"} if turned else {}),
+                texts, **({"rotation": 35, "ha": "right", "rotation_mode": "anchor"} if turned else {})
             )
             own.set_tick_params(length=0)
             set_limits(-0.5, len(texts) - 0.5)
@@ -342,9 +348,12 @@ class Drawing:
                 capthick=0.09 * self._points,
                 zorder=2,
             )
+        x, y = mark.x, mark.y
+        if mark.onward:
+            x, y = np.append(x, axes.get_xlim()[mark.onward > 0]), np.append(y, y[-1])
         axes.plot(
-            mark.x,
-            mark.y,
+            x,
+            y,
             color=style.colour,
             linestyle=style.dashes,
             linewidth=wide * self._points,
@@ -531,7 +540,9 @@ class Drawing:
             line = lines.setdefault(side, _TextLines()).take(begin, begin + wide)
             if line >= (_MOST_LINES if across else 1):
                 continue  # the caption tells
-            aside = (-0.5 if left else 0.5) if across else 0.35
+            # Beside the top of the axes the title stands above.
+            below = side == "above" or (not across and share > _TOP)
+            aside = (-0.5 if left else 0.5) if across else -0.35 if below else 0.35
             axes.text(
                 *at,
                 text,
@@ -539,7 +550,7 @@ class Drawing:
                 fontsize=0.75 * self._points,
                 color=_INK,
                 ha="right" if left or side == "right" else "left",
-                va="top" if side == "above" else "bottom",
+                va="top" if below else "bottom",
                 zorder=6,
                 bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.3, "alpha": 0.8},
             )
@@ -587,9 +598,21 @@ class Drawing:
             entries += [(number, picture.series[number]) for number in used]
         elif picture.truth:
             entries += [(number, "estimate") for number in used]
-        letters = int((self._inches / self._em - 3.4) / (_LETTER * 0.8125))
-        texts = told_apart([text for _, text in entries], letters)
+        room = self._inches / self._em - _SIGN
+        letters = int(room / (_LETTER * 0.8125))
+        whole = [text for _, text in entries]
+        texts = told_apart(whole, letters)
+        # Letters may be wider than most are.
+        while (widest := self._widest(texts)) > room and letters > _FEWEST:
+            letters = max(_FEWEST, min(letters - 1, int(letters * room / widest)))
+            texts = told_apart(whole, letters)
         return [(number, text) for (number, _), text in zip(entries, texts, strict=True)]
+
+    def _widest(self, texts: Iterable[str]) -> float:
+        """Return the width of the widest text of a legend, over the size of letters; 0 for none."""
+        letters = library("font_manager").FontProperties(size=100 * 0.8125)
+        measure = library("textpath").text_to_path.get_text_width_height_descent
+        return max((measure(text, letters, ismath=False)[0] / 100 for text in texts), default=0.0)
 
     def _legend_rows(self, inches: float) -> int:
         entries = len(self._legend) + (2 if self._picture.equal else 0)
@@ -597,8 +620,12 @@ class Drawing:
 
     def _legend_across(self, inches: float) -> int:
         longest = max(len(text) for _, text in self._legend)
-        wide = (longest * 0.9 * _LETTER * 0.8125 + 3.4) * self._em
-        return max(1, min(len(self._legend) + (2 if self._picture.equal else 0), int(inches / wide)))
+        wide = (longest * 0.9 * _LETTER * 0.8125 + _SIGN) * self._em
+        widest = (self._widest(text for _, text in self._legend) + _SIGN) * self._em
+        most = int(max(inches, wide) / wide)
+        while most > 1 and most * widest > inches:
+            most -= 1
+        return min(len(self._legend) + (2 if self._picture.equal else 0), most)
 
     def _write_legend(self) -> None:
         handles = [self._handle(number) for number, _ in self._legend]

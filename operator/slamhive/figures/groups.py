@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from slamhive.figures.asking import (
 )
 from slamhive.figures.counts import Tally, span
 from slamhive.figures.pictures import Box, Dots, Line, MissingMark, Panel, Picture, PictureAxis, Ranges, Tiles
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError
 from slamhive.reporting.markup import shown
 from slamhive.reporting.papertables import Statistic
@@ -37,7 +39,7 @@ from slamhive.tables.reading import with_figure
 from slamhive.tables.text import as_columns, flat_cells
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from slamhive.analysis.cells import Cell
     from slamhive.analysis.cells import Figure as Summed
@@ -45,6 +47,7 @@ if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
     from slamhive.analysis.grouping import Aggregate
     from slamhive.analysis.metrics import Metric
+    from slamhive.analysis.pareto import Front
     from slamhive.figures.asking import Wish
 
 MOST_POINTS = 20
@@ -147,8 +150,10 @@ def lines(frame: Frame, wish: Wish) -> Picture:
         for keys, cells in kept
     )
     cells = [cell for _, cells in kept for cell in cells]
+    axis = along.axis(wish.log.of("x"))
+    drawn_at = {along.place(cell.keys) for cell in cells}
     return Picture(
-        x=along.axis(wish.log.of("x")),
+        x=replace(axis, ticks=tuple(tick for tick in axis.ticks if tick in drawn_at)),
         y=PictureAxis(y.label, wish.log.of("y"), robust=wish.robust),
         panels=panels,
         series=series.labels,
@@ -172,7 +177,7 @@ def _known(frame: Frame, name: str) -> tuple[Frame, list[str]]:
         return frame, []
     if not present.any():
         raise InputError(f"{name}: none of the runs has it: there is nothing to draw", "x")
-    return frame.select(present), [f"{int((~present).sum()):,} runs without {name} are not drawn"]
+    return frame.select(present), [f"not drawn: {plural(int((~present).sum()), 'run')} without {name}"]
 
 
 def _with_breadth(
@@ -268,9 +273,11 @@ def box(frame: Frame, wish: Wish) -> Picture:
     whole = any(len(values) >= _LEAST_BOX for _, values in members)
     what = []
     if whole:
-        what.append("boxes: median, quartiles, whiskers to the last run within 1.5 quartile distances")
+        what.append(
+            "boxes: median, quartiles, whiskers to the last run that counts in 1.5 quartile distances"
+        )
     if few:
-        what.append(f"below {_LEAST_BOX} runs: each of them, with a bar at the median")
+        what.append(f"below {_LEAST_BOX} runs: each that counts, with a bar at their median")
     return Picture(
         x=along.axis(),
         y=PictureAxis(y.label, wish.log.of("y"), robust=wish.robust),
@@ -460,25 +467,35 @@ def front(frame: Frame, wish: Wish) -> Picture:
         title = keys_text({name: one.facets[name] for name in varying})
         panels.append(Panel(title, tuple(marks)))
     spots = [spot for one in fronts for spot in one.spots]
-    worst = [spot for spot in spots if not math.isfinite(spot.y) and not math.isnan(spot.y)]
     tally = Tally.of(spots)
     ns = [spot.n for spot in spots if spot.n]
     what = "one result" if max(ns) == 1 else f"the median of {span(ns)} results, bars are the range"
     stated = f"each mark is {what}; filled: none is better in both"
-    lost = (
-        [
-            f"crossed above, as the median run failed, {len(worst)}: "
-            + "; ".join(dict.fromkeys(keys_text(spot.keys) for spot in worst))
-        ]
-        if worst
-        else []
-    )
     return Picture(
         x=PictureAxis(x.label, wish.log.of("x"), robust=wish.robust),
         y=PictureAxis(y.label, wish.log.of("y"), robust=wish.robust),
         panels=tuple(panels),
         series=tuple(labels),
-        notes=(stated, *lost, *tally.notes(wish.outcomes, above=False), *notes, *left),
+        notes=(stated, *_failing(fronts, varying), *tally.notes(wish.outcomes, above=False), *notes, *left),
         columns=as_columns(rows),
         runs=sum(spot.runs for spot in spots),
     )
+
+
+def _failing(fronts: Sequence[Front], varying: Sequence[str]) -> Iterator[str]:
+    """Name who is crossed in the field above the axes, and who is nowhere, each with the panels."""
+    crossed: dict[str, list[str]] = {}
+    absent: dict[str, list[str]] = {}
+    for one in fronts:
+        title = keys_text({name: one.facets[name] for name in varying})
+        for spot in one.spots:
+            if math.isinf(spot.y):
+                found = crossed if math.isfinite(spot.x) else absent
+                found.setdefault(keys_text(spot.keys), []).append(title)
+    for said, found in (
+        ("crossed above, as the median run failed", crossed),
+        ("without a mark, as no run that counts has a cost", absent),
+    ):
+        if found:
+            names = (f"{name} ({', '.join(on)})" if any(on) else name for name, on in found.items())
+            yield f"{said}: {'; '.join(names)}"

@@ -16,6 +16,7 @@ from slamhive.bridges.places import Here
 from slamhive.figures.asking import MOST_SERIES, FigureKind, check_panels, error_of, nothing, parted
 from slamhive.figures.groups import Series
 from slamhive.figures.pictures import Line, Panel, Picture, PictureAxis
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError
 from slamhive.model.results import MemoryKind
 from slamhive.reporting.questions import is_setting, varied
@@ -26,7 +27,7 @@ from slamhive.runfiles.trajectories import drawn, extrinsic_of, read_poses, usag
 from slamhive.tables.homes import COLUMN, OWN, uid_in
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from slamhive.analysis.columns import Floats, Indices
     from slamhive.analysis.frame import Frame
@@ -259,7 +260,7 @@ class _SettingsTried:
 
     def text(self, part: Frame, row: int) -> str:
         """Return the settings of a run in words, without those that its algorithm doesn't have."""
-        return keys_text({name: value for name, value in self.of(part, row).items() if value is not None})
+        return _words(self.of(part, row))
 
     def shared(self, chosen: Sequence[ChosenRun]) -> str:
         """Return the settings of all runs that are drawn where they are equal, and others were tried."""
@@ -326,13 +327,18 @@ def _without_copies(chosen: Sequence[ChosenRun]) -> tuple[list[ChosenRun], list[
     return kept, copies
 
 
+def _words(keys: Mapping[str, Any]) -> str:
+    """Return keys in words, without those that an algorithm doesn't have."""
+    return keys_text({name: value for name, value in keys.items() if value is not None})
+
+
 def _each(chosen: Sequence[ChosenRun], copies: Sequence[ChosenRun], settings: _SettingsTried) -> list[str]:
     """Say which lines there are, and which are not told apart."""
-    said = [f"each line is one of {len(chosen)} runs"]
+    said = [f"each line is one of {plural(len(chosen), 'run')}"]
     if copies:
         said.append(f"{len(copies)} more have the same trajectory as one of them")
     looks = {(choice.panel, choice.series) for choice in chosen}
-    lost = {keys_text(one.keys) for one in copies if (one.panel, one.series) not in looks}
+    lost = {_words(one.keys) for one in copies if (one.panel, one.series) not in looks}
     if lost:
         said.append(f"no line of its own, as it would be the same: {'; '.join(sorted(lost))}")
     if len({(one.panel, one.series, settings.text(one.frame, one.row)) for one in chosen}) > len(looks):
@@ -344,11 +350,11 @@ def _stated(count: int, chosen: Sequence[ChosenRun], settings: _SettingsTried) -
     """Say which runs the lines are, of those that count."""
     if len(chosen) == count:
         return ["each line is one run, the only one of its series"]
-    what = f"each line is one run, of {count} that count the one of median error of each series and panel"
+    what = f"each line is one run: of {count} that count, the one of median error of each series and panel"
     if shared := settings.shared(chosen):
         which = f"one of {settings.several} settings that ran; --where chooses others, --each draws all"
         return [f"{what} with {shared}, {which}"]
-    texts = {keys_text(choice.keys) for choice in chosen}
+    texts = {_words(choice.keys) for choice in chosen}
     named = [f"they are {'; '.join(sorted(texts))}"] if settings.several > 1 else []
     return [f"{what}; --each draws all", *named]
 

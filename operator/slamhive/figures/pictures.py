@@ -77,6 +77,7 @@ class Line:
         x, y: (n,).
         low, high: the ends of what each y stands for, (n,); None for none.
         steps: whether y stays as it is up to the next x.
+        onward: the end of the axis along x to which the last y goes on: 1 for the larger, -1 for the smaller.
         marked: whether each place has a mark.
         thin: whether it is one of many.
     """
@@ -87,6 +88,7 @@ class Line:
     low: Floats | None = None
     high: Floats | None = None
     steps: bool = False
+    onward: int = 0
     marked: bool = False
     thin: bool = False
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from slamhive.analysis.metrics import Metric
 from slamhive.figures.pictures import Dots, Line, Panel, Picture, PictureAxis
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError
 from slamhive.model.search import Goal
 from slamhive.tables.text import as_columns
@@ -43,12 +44,13 @@ def search(story: SearchStory, wish: Wish) -> Picture:
     lost = sum(trial.judged > 0 and None in trial.figures for trial in story.trials)
     dropped = sum(trial.dropped is not None for trial in story.trials)
     without = f", {lost} of all settings had no run with a figure" if lost else ""
-    circles = f"circles are settings with all of their {story.block} runs: {story.averaged}"
-    tried = f"{story.search.method} tried {len(story.trials)} settings in {story.computed:,} computed runs"
+    circles = f"circles are settings with all of their runs, {story.block} each: {story.averaged}"
+    settings, computed = plural(len(story.trials), "setting"), plural(story.computed, "computed run")
+    tried = f"{story.search.method} tried {settings} in {computed}"
     better = "of two settings the one of which fewer runs failed is the better"
     notes = [
         f"{circles}, of runs that did not fail; {better}",
-        f"{tried}; {dropped} were dropped after fewer runs{without}",
+        f"{tried}; dropped after fewer runs: {dropped}{without}",
     ]
     if story.ended > story.computed:
         taken = story.ended - story.computed

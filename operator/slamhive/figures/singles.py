@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.grouping import SUBJECT, Groups, Outcomes, disturbance_notes, tally, worst
-from slamhive.analysis.limits import is_steep, robust_limits
 from slamhive.analysis.ranking import Ranking
 from slamhive.analysis.repeating import repeatability
 from slamhive.figures.asking import check_panels, cost_of, error_of, nothing, parted
 from slamhive.figures.counts import Tally
 from slamhive.figures.groups import Series, _runs, counts, values_tried
 from slamhive.figures.pictures import Dots, Line, Panel, Picture, PictureAxis, Ranges
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError
 from slamhive.model.results import Outcome
 from slamhive.reporting.titles import keys_text
@@ -99,7 +99,7 @@ def scatter(frame: Frame, wish: Wish, beside: Sequence[Published] = ()) -> Pictu
         series=(*series.labels, "published"),
         notes=(
             "each mark is one run",
-            *([f"crosses above: {crossed:,} runs that failed, at their place along x"] if crossed else []),
+            *([f"crosses above: {plural(crossed, 'failed run')} at the place along x"] if crossed else []),
             *([f"published are {len(both)} hollow marks, from {sources}"] if both else []),
             *untracked,
             *_tally(parts.frame, inside).notes(wish.outcomes, above=False),
@@ -137,11 +137,6 @@ def ecdf(frame: Frame, wish: Wish) -> Picture:
     inside, sign = whole.inside, whole.sign
     if not inside.any():
         raise nothing(x.column)
-    every = parts.frame.column(x.column).floats()[inside] * x.factor
-    log = is_steep(every) if wish.log.of("x") is None else wish.log.of("x")
-    limits = robust_limits(every, log=bool(log)) if wish.robust else None
-    ends = (limits.low, limits.high) if limits is not None else (float(every.min()), float(every.max()))
-    end = max(sign * ends[0], sign * ends[1])
     panels, rows, copies = [], [], 0
     for keys, part in parts.panels:
         marks = []
@@ -152,10 +147,8 @@ def ecdf(frame: Frame, wish: Wish) -> Picture:
             if not ranked.n:
                 continue
             found, share = ranked.values * x.factor, ranked.shares
-            # It begins at zero, and goes on level where the slowest ends.
-            across = np.concatenate([found[:1], found, [sign * max(end, sign * found[-1])]])
-            up = np.concatenate([[0.0], share, share[-1:]])
-            marks.append(Line(series.of(values), across, up, steps=True))
+            across, up = np.append(found[:1], found), np.append(0.0, share)  # it begins at zero
+            marks.append(Line(series.of(values), across, up, steps=True, onward=1 if sign > 0 else -1))
             rows += [
                 {**keys, **values, x.column: value, "share": part_of, "n": ranked.n, "runs": ranked.total}
                 for value, part_of in zip(ranked.values.tolist(), share.tolist(), strict=True)
@@ -166,12 +159,12 @@ def ecdf(frame: Frame, wish: Wish) -> Picture:
     stated = f"share of all runs that were tracked and have {which}" if failed else "share of runs"
     ended = int(len(inside) - inside.sum() - failed)
     apart = (
-        [f"{ended:,} runs that the machine or the user ended, or without a number, count nowhere"]
+        [f"count nowhere: {plural(ended, 'run')} that the machine or the user ended, or without a number"]
         if ended
         else []
     )
     return Picture(
-        x=PictureAxis(x.label, log, robust=wish.robust),
+        x=PictureAxis(x.label, wish.log.of("x"), robust=wish.robust),
         y=PictureAxis("share of runs", False, ends=(0.0, 1.0)),
         panels=tuple(panel for panel in panels if panel.marks),
         series=series.labels,

@@ -126,7 +126,7 @@ def _collect(options: argparse.Namespace) -> str:
     finds = [*_runs(root / "results"), *_data(root / "data")]
     known = known_now(options)
     if known.assets is None:
-        _tell("assets stay: the account is not allowed to list algorithms")
+        say("assets stay: the account is not allowed to list algorithms")
     now = time.time()
     old = [find for find in finds if not _is_known(find, known) and _is_old(find, now, grace)]
     released, archive = known.released, None
@@ -148,11 +148,11 @@ def _collect(options: argparse.Namespace) -> str:
                 _said(folder, partial(erase, folder))
     removed = 0
     for find in old:
-        _tell(f"{'would remove' if options.dry_run else 'removing'} {find.path}")
+        say(f"{'would remove' if options.dry_run else 'removing'} {find.path}")
         keep = rest > 0 and find.kind == "runs" and find.name not in released
         removed += options.dry_run or _remove(find, root / "results" if keep else None, now)
     if problem:
-        _tell(problem)
+        say(problem)
     return json.dumps({"v": 1, "found": len(finds), "removed": removed, "dryRun": options.dry_run})
 
 
@@ -200,7 +200,7 @@ def tell_owner(options: argparse.Namespace, message: str, reason: str) -> None:
         try:
             tell_cronjob(options.namespace, options.cronjob, message, options.kubeconfig, reason=reason)
         except SystemFault as trouble:
-            _tell(str(trouble))
+            say(str(trouble))
 
 
 def duration_of(name: str, text: str) -> float:
@@ -323,14 +323,15 @@ def _said(path: Path, remove: Callable[[], bool]) -> bool:
     try:
         gone = remove()
     except OSError as error:
-        _tell(f"{path}: {error.strerror or error}")
+        say(f"{path}: {error.strerror or error}")
         return False
     if not gone:
-        _tell(f"{path}: is in use or can't be removed")
+        say(f"{path}: is in use or can't be removed")
     return gone
 
 
-def _tell(sentence: str) -> None:
+def say(sentence: str) -> None:
+    """Print a sentence at once."""
     print(sentence, flush=True)  # noqa: T201
 
 

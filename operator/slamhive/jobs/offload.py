@@ -22,7 +22,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from slamhive.data.files.erasing import erase
 from slamhive.jobs.collect import (
@@ -32,6 +32,7 @@ from slamhive.jobs.collect import (
     is_untouched,
     known_now,
     read_url,
+    say,
     tell_owner,
     volume_arguments,
 )
@@ -150,7 +151,7 @@ class Offloading:
         store.check()
         self._move(iter(old), store, rest, lambda: True)
         if young and self._is_full():
-            _tell(f"the volume is more than {options.full} % full: folders younger than --after go too")
+            say(f"the volume is more than {options.full} % full: folders younger than --after go too")
             self._move(iter(young), store, rest, self._is_full)
 
     def _move(
@@ -159,7 +160,7 @@ class Offloading:
         while goes_on() and (batch := list(islice(uids, _BATCH))):
             if self._options.dry_run:
                 for uid in batch:
-                    _tell(f"would move runs/{uid}")
+                    say(f"would move runs/{uid}")
                 continue
             done = self._copy(batch, store)
             self._throw_away(done.copied, rest)
@@ -185,7 +186,7 @@ class Offloading:
         try:
             write_aside(self._results / STATE, lambda path: path.write_text(text, encoding="utf-8"))
         except OSError as error:
-            _tell(f"{self._results / STATE}: {error.strerror}")
+            say(f"{self._results / STATE}: {error.strerror}")
 
     def _going(self, after: float) -> tuple[list[str], list[str]]:
         """Return the UIDs of the runs whose folders may go: those old enough and the others, oldest first."""
@@ -233,7 +234,7 @@ class Offloading:
                     done.copied[uid] = told
                 elif told is not None:
                     self.count.stays += 1
-                    _tell(str(told))
+                    say(str(told))
         finally:
             pool.shutdown(cancel_futures=True)
         return done
@@ -244,7 +245,7 @@ class Offloading:
         for uid, size in copied.items():
             path = self._results / "runs" / uid
             if uid in known:
-                _tell(f"runs/{uid} is in the storage and stays on the volume, as a run refers to it")
+                say(f"runs/{uid} is in the storage and stays on the volume, as a run refers to it")
                 self.count.found -= 1
                 continue
             try:
@@ -253,20 +254,16 @@ class Offloading:
                 else:
                     erase(path.rename(path.with_name(f".{uid}.removing")))
             except OSError as error:
-                _tell(f"{path}: {error.strerror or error}")
+                say(f"{path}: {error.strerror or error}")
                 continue
             self.count.moved += 1
             self.count.size += size
-            _tell(f"moved runs/{uid} ({size} bytes)")
+            say(f"moved runs/{uid} ({size} bytes)")
 
     def _erase_trash(self, rest: float) -> None:
         for folder in outdated(self._results, self._now, rest, OFFLOADED):
             if not erase(folder):
-                _tell(f"{folder}: can't be removed")
-
-
-def _tell(sentence: Any) -> None:
-    print(sentence, flush=True)  # noqa: T201
+                say(f"{folder}: can't be removed")
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from slamhive.kube.builders.common import WHOLE_NODE
 from slamhive.model.base import quantity
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Awaitable, Callable, Iterable, Mapping
 
     from slamhive.kube.api.kinds import Object
     from slamhive.kube.cluster import Cluster
@@ -136,7 +136,7 @@ def _number(text: object) -> float:
 
 
 @dataclass
-class _ClusterReading:
+class ClusterReading:
     """Objects of the cluster as they were last read, or why they could not be.
 
     Attributes:
@@ -149,13 +149,29 @@ class _ClusterReading:
     objects: list[Object] | None = None
     there: int = 0
 
+    async def renew(self, now: float, seconds: float, read: Callable[[], Awaitable[list[Object]]]) -> bool:
+        """Read the objects again if that is due, as it is each so many seconds; tells whether they were read.
+
+        What may not be seen isn't known any more; other failures leave what was read before.
+        """
+        if now < self.due:
+            return False
+        self.due = now + seconds
+        try:
+            self.objects = await read()
+        except ApiError as error:
+            if isinstance(error, Forbidden | NotFound):
+                self.objects, self.due = None, now + REFUSED_SECONDS
+            return False
+        return True
+
 
 class SeenRoom:
     """Bounds by quotas and nodes, as far as the account may see these."""
 
     def __init__(self) -> None:
-        self._quotas: dict[str, _ClusterReading] = {}
-        self._nodes = _ClusterReading()
+        self._quotas: dict[str, ClusterReading] = {}
+        self._nodes = ClusterReading()
 
     async def of_quotas(
         self, cluster: Cluster, namespace: str, asked: Mapping[str, float], there: int
@@ -168,38 +184,22 @@ class SeenRoom:
             asked: what a run's pod asks for, by resource.
             there: pods of runs that are there now.
         """
-        reading = self._quotas.setdefault(namespace, _ClusterReading())
-        now = cluster.clock()
-        if now >= reading.due:
-            reading.due = now + QUOTA_SECONDS
-            try:
-                reading.objects, reading.there = await cluster.api.quotas(namespace), there
-            except ApiError as error:
-                _put_off(reading, error, now)
+        reading = self._quotas.setdefault(namespace, ClusterReading())
+        if await reading.renew(cluster.clock(), QUOTA_SECONDS, lambda: cluster.api.quotas(namespace)):
+            reading.there = there
         return bound_by_quotas(reading.objects or (), asked, reading.there)
 
     async def of_nodes(self, cluster: Cluster, asked: Mapping[str, float]) -> Bound | None:
         """Return the number of runs that the nodes could hold; None where they can't be seen."""
         if not cluster.settings.sharing.read_nodes:
             return None
-        reading, now = self._nodes, cluster.clock()
-        if now >= reading.due:
-            reading.due = now + NODES_SECONDS
-            try:
-                reading.objects = await cluster.api.nodes()
-            except ApiError as error:
-                _put_off(reading, error, now)
+        reading = self._nodes
+        await reading.renew(cluster.clock(), NODES_SECONDS, cluster.api.nodes)
         if reading.objects is None:
             return None
         pods = cluster.settings.pods
         chosen = {"nodeSelector": pods.node_selector, "tolerations": pods.tolerations}
         return bound_by_nodes(reading.objects, asked, chosen)
-
-
-def _put_off(reading: _ClusterReading, error: ApiError, now: float) -> None:
-    """Note that something could not be read: what may not be seen isn't known any more."""
-    if isinstance(error, Forbidden | NotFound):
-        reading.objects, reading.due = None, now + REFUSED_SECONDS
 
 
 @dataclass
@@ -226,23 +226,28 @@ class FeltRoom:
         """Tell whether there was no room for more when it was last felt for."""
         return math.isfinite(self.ceiling) and self.limit <= self.ceiling + 1
 
-    def slots(self, waits: int, undecided: int) -> int:
-        """Return the number of runs that may be in flight, with those that wait for a node.
+    @property
+    def slots(self) -> int:
+        """Return the number of runs that may be in flight, with those that wait for a node."""
+        # Where none waits one is tried, so that room which others leave is found while runs come and go.
+        return self.limit + (self.waiting if math.isfinite(self.ceiling) else 0)
+
+    def recall(self, placed: int, refused: int) -> None:
+        """Take over what an operator before this one had found.
 
         Args:
-            waits: pods that wait for a node.
-            undecided: runs of which nobody knows yet whether there is a node for them.
+            placed: pods of runs that have a node.
+            refused: pods of runs that were found to have none.
         """
-        if not math.isfinite(self.ceiling):
-            return self.limit
-        # Where none waits one is tried, so that room which others leave is found while runs come and go.
-        return self.limit + waits + max(int(not waits), self.waiting - waits - undecided)
+        self.limit = max(1, placed) if refused else self.first + placed
+        self.ceiling = self.limit if refused else math.inf
 
-    def note(self, placed: int, refused: int, used: int, held: int) -> None:
+    def note(self, placed: int, at_once: int, refused: int, used: int, held: int) -> None:
         """Note what has become of runs.
 
         Args:
-            placed: pods that found a node at once, and runs that ended before they were seen to have one.
+            placed: pods that found a node, and runs that ended before they were seen to have one.
+            at_once: those of them that were never found to have none.
             refused: pods that were found to have none.
             used: slots that were held since the last time.
             held: slots that are held now: runs in flight, without those that wait for a node.
@@ -251,7 +256,9 @@ class FeltRoom:
             self.ceiling = held
             self.limit = max(1, held)
         elif self.limit < self.ceiling:
-            grown = min(self.limit + 2 * placed, self.ceiling, max(self.first, 2 * used))
+            grown = min(self.limit + 2 * at_once, self.ceiling, max(self.first, 2 * used))
             self.limit = max(self.limit, int(grown))
-        else:
-            self.limit = max(self.limit, held)  # some of those that may wait have found a node
+        elif placed:
+            # Some of those that may wait have found a node. Runs whose pods nobody has looked at prove
+            # nothing: a busy cluster makes them late, and then refuses a crowd at once.
+            self.limit = max(self.limit, held)

@@ -254,12 +254,7 @@ class Cluster:
         return await self.patch_seen(kind, seen, {"status": patch}, subresource="status", untold=untold)
 
     async def amend(
-        self,
-        key: Key,
-        uid: str,
-        change: Callable[[Object], Object],
-        *,
-        subresource: str | None = None,
+        self, key: Key, uid: str, change: Callable[[Object], Object], *, subresource: str | None = None
     ) -> Object | None:
         """Patch an object by what follows from its newest version, whatever else writes there meanwhile.
 

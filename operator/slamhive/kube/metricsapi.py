@@ -146,7 +146,9 @@ class MetricsReader:
         pod = self._store.get(Key(Kind.POD, namespace, name))
         # The API knows pods by name and may still answer for one that is gone; the uid tells a later one of
         # its name from it.
-        if uid is None or pod is None or pod["metadata"]["uid"] != uid or _is_over(pod):
+        if uid is None or pod is None or pod["metadata"]["uid"] != uid:
+            return
+        if pod["status"].get("phase") in ENDED:
             return
         for container in item.get("containers") or ():
             if container.get("name") == CONTAINER:
@@ -166,10 +168,6 @@ def amount(text: str) -> float:
         return quantity(text)
     except ValueError:
         return 0.0
-
-
-def _is_over(pod: Object) -> bool:
-    return pod["status"].get("phase") in ENDED
 
 
 def _pod_labels(namespace: str, pod: Object) -> PodLabels:

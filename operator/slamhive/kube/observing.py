@@ -43,14 +43,7 @@ from slamhive.kube.pods import (
     what_waits,
     why_unable,
 )
-from slamhive.kube.reports import (
-    Report,
-    clean,
-    moment,
-    read_description,
-    read_failure,
-    read_report,
-)
+from slamhive.kube.reports import Report, clean, moment, read_description, read_failure, read_report
 from slamhive.model.results import Reason, remark_of
 from slamhive.model.variant import program_title
 from slamhive.playback.judging import judge
@@ -67,6 +60,8 @@ Problem = tuple[Reason, str]
 
 NO_POD = "NoPod"
 """Reason of a Job's waiting that has no pod, nobody knows why."""
+PREPARATION_WAITS = "PreparationWaits"
+"""Reason of runs whose preparation does not begin."""
 TERMINATING = "Terminating"
 """Reason of the waiting of a pod that is taken away while its program runs."""
 DISRUPTED = "Disrupted"

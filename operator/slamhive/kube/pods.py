@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     Object = Mapping[str, Any]
 
-_PULLS = frozenset(
+PULLS = frozenset(
     {
         "ErrImageNeverPull",
         "ErrImagePull",
@@ -29,6 +29,7 @@ _PULLS = frozenset(
         "SignatureValidationFailed",
     }
 )
+"""Reasons that the kubelet gives where it can't have an image."""
 NO_CONTAINER_CONFIG = "CreateContainerConfigError"
 """Reason that the kubelet gives where it can't put together what a container mounts and is told."""
 _STARTS = frozenset({NO_CONTAINER_CONFIG, "CreateContainerError", "PostStartHookError", "RunContainerError"})
@@ -259,7 +260,7 @@ def _explained(
         return Waiting(
             word, message, since, AttemptEnd(reason=Reason.IMAGE_PULL_FAILED, message=message), True
         )
-    if word in _PULLS:
+    if word in PULLS:
         message = f"image {image!r}: {_short_pull(told) or word}"
         return Waiting(word, message, since, AttemptEnd(reason=Reason.IMAGE_PULL_FAILED, message=message))
     if word in _STARTS or word == "CrashLoopBackOff":

@@ -24,16 +24,7 @@ if TYPE_CHECKING:
 NOT_EVALUABLE = f"{GROUP}/not-evaluable"
 """Annotation of a run that says of each Evaluation, by its name, why the run could not be measured by it."""
 
-_TAKEN = (
-    "attempts",
-    "usage",
-    "frames",
-    "metrics",
-    "trajectory",
-    "provenance",
-    "folder",
-    "log_tail",
-)
+_TAKEN = ("attempts", "usage", "frames", "metrics", "trajectory", "provenance", "folder", "log_tail")
 
 
 def record_of(

@@ -133,6 +133,7 @@ class SharingSettings(Model):
     slots: int | None = Field(default=None, ge=1)
     namespaces: dict[NamespaceName, NamespaceSharing] = Field(default_factory=dict)
     read_nodes: bool = False
+    read_priority_classes: bool = False
     waiting_pods: int = Field(default=1, ge=1, le=1000)
 
 

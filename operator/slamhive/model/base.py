@@ -46,7 +46,8 @@ _NAME = worded(r"^[a-z0-9]([-a-z0-9.]*[a-z0-9])?$", "expected a name of lower-ca
 QUEUE_NAME = "kueue.x-k8s.io/queue-name"
 """Label of objects whose Jobs Kueue admits: the name of a LocalQueue."""
 PRIORITY_CLASS = "kueue.x-k8s.io/priority-class"
-"""Label by which Kueue knows what comes first: the name of a WorkloadPriorityClass."""
+"""Label by which Kueue knows what comes first: the name of a WorkloadPriorityClass; without it, by the
+PriorityClass of the pods."""
 _PART = r"[a-z0-9]+([._-]+[a-z0-9]+)*"
 # As registries have it: what an engine would take for an option or a file ("--all", "dir:/x") is no name.
 _IMAGE = worded(
@@ -96,10 +97,7 @@ Quantity = Annotated[
     BeforeValidator(_integer_as_text),
     Field(description="A quantity as Kubernetes writes it, such as 2, 500m or 4Gi."),
 ]
-Name = Annotated[
-    str,
-    StringConstraints(pattern=_NAME, min_length=1, max_length=253),
-]
+Name = Annotated[str, StringConstraints(pattern=_NAME, min_length=1, max_length=253)]
 NAME_LIMIT = 63
 """Longest name of an object of ours: it must fit into a label."""
 RelativePath = Annotated[
@@ -246,6 +244,19 @@ class Resource(Model):
         return self.metadata.name
 
 
+_TYPES = {
+    "list_type": "must be a list",
+    "tuple_type": "must be a list",
+    "dict_type": "must be a mapping",
+    "model_type": "must be a mapping",
+    "string_type": "must be a text",
+    "int_type": "must be a whole number",
+    "float_type": "must be a number",
+    "bool_type": "must be true or false",
+}
+"""Demands on a value by pydantic's kinds of error, in the words of a manifest."""
+
+
 def meaning(pattern: str) -> str | None:
     """Return in words what a pattern asks, None where nobody has written it down."""
     return _MEANINGS.get(pattern)
@@ -257,8 +268,14 @@ def explain(error: ErrorDetails) -> str:
     found = error.get("input")
     if error["type"] == "enum" and isinstance(found, dict | list):
         return f"takes one word{_word_among(found, str(context.get('expected')))}"
+    if error["type"] == "too_long":
+        return f"at most {context['max_length']} are allowed, here are {context['actual_length']}"
+    if error["type"] == "too_short":
+        least = context["min_length"]
+        return f"at least {least} {'is' if least == 1 else 'are'} needed, here are {context['actual_length']}"
     pattern = context.get("pattern")
-    return meaning(str(pattern)) or error["msg"].removeprefix("Value error, ")
+    said = error["msg"].removeprefix("Value error, ").replace("Input should be", "must be", 1)
+    return _TYPES.get(error["type"]) or meaning(str(pattern)) or said
 
 
 def _word_among(found: dict[str, Any] | list[Any], expected: str) -> str:

@@ -105,7 +105,7 @@ _MEANT = {"mode": ("sensors",), "exclusiveNodes": ("resources", "template")}
 
 def suggestion(name: str, known: Iterable[str]) -> str:
     """End a sentence about an unknown name with the nearest known one, or with all of a short list."""
-    names = sorted(known)
+    names = sorted(set(known))
     meant = [field for field in _MEANT.get(name, ()) if field in names]
     close = meant or difflib.get_close_matches(name, names, n=1, cutoff=0.6)
     if close:

@@ -264,10 +264,17 @@ def _sentence(document: Document, path: Path_, error: ErrorDetails, model: type[
         case _:
             text = explain(error)
             found = error.get("input")
-            if error["type"] != "value_error" and isinstance(found, str | int | float | bool | None):
-                text += f", found {found!r}"
+            if error["type"] != "value_error":
+                text += f", found {_found(found)}"
             text += proposal(found) if path == _NAMES[1] else ""
     return f"{document.where(path)}: {named}: {text}" if named else f"{document.where(path)}: {text}"
+
+
+def _found(value: Any) -> str:
+    """Return a value as a sentence shows it; of what has parts its kind alone."""
+    if isinstance(value, dict | list):
+        return "a mapping" if isinstance(value, dict) else "a list"
+    return repr(value)
 
 
 def _real_path(value: Any, location: tuple[str | int, ...]) -> Iterator[str | int]:

@@ -15,14 +15,6 @@ if TYPE_CHECKING:
 
 MOST_RPE = 16
 _SHOWN = 60
-_WORDS = {
-    "float_type": "must be a number",
-    "model_type": "must be an object",
-    "dict_type": "must be an object",
-    "list_type": "must be a list",
-    "too_long": f"at most {MOST_RPE} are kept",
-}
-
 
 _FIELDS: dict[str, Any] = {name: (float | None, optional(f"{name} of the error.")) for name in STATISTICS}
 
@@ -50,7 +42,5 @@ def problem_of_values(values: Mapping[str, Any]) -> str | None:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
-        return (
-            f"{place}: {_WORDS.get(first['type']) or explain(first)}, found {str(first['input'])[:_SHOWN]!r}"
-        )
+        return f"{place}: {explain(first)}, found {str(first['input'])[:_SHOWN]!r}"
     return None

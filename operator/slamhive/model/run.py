@@ -9,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 from pydantic.alias_generators import to_camel
 
 from slamhive.model.algorithm import Pace
-from slamhive.model.base import Duration, Model, Quantity, Reference, Resource, Scalar, optional
+from slamhive.model.base import Duration, Model, Name, Quantity, Reference, Resource, Scalar, optional
 from slamhive.model.errors import suggestion
 from slamhive.model.sensors import Role, SensorMode
 
@@ -228,6 +228,7 @@ class MappingRunSpec(Model):
         default=2, ge=0, le=10, description="Further attempts after infrastructure failures."
     )
     evaluate: bool = Field(default=True, description="Whether to evaluate the trajectory.")
+    priority_class_name: Name | None = optional("PriorityClass of its pods; default: the chart's.")
     cancel: bool = Field(default=False, description="Whether to end the run.")
 
 
@@ -238,5 +239,5 @@ class MappingRun(Resource):
     spec: MappingRunSpec
 
 
-UNHASHED = ("timeout", "retries", "evaluate", "cancel")
+UNHASHED = ("timeout", "retries", "evaluate", "priorityClassName", "cancel")
 """Fields of the spec that do not change what a run produces."""

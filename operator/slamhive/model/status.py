@@ -159,8 +159,7 @@ class ResultEntry(_Item):
     scale: float | None = optional("Scale of the alignment.")
     ate: ResultFigures | None = optional("Absolute trajectory error in m.")
     rpe: list[_Free] | None = optional(
-        "Relative pose errors, in the order of the Evaluation.",
-        max_length=MOST_RPE,
+        "Relative pose errors, in the order of the Evaluation.", max_length=MOST_RPE
     )
 
 
@@ -170,8 +169,7 @@ class RunDisplay(Model):
     model_config = ConfigDict(extra="ignore")
 
     ate: str | None = optional(
-        "RMSE of the absolute trajectory error of the first evaluation.",
-        max_length=32,
+        "RMSE of the absolute trajectory error of the first evaluation.", max_length=32
     )
     cpu: str | None = optional("Mean number of cores.", max_length=32)
     memory: str | None = optional("Peak of memory.", max_length=32)
@@ -287,6 +285,7 @@ class SweepShare(_Item):
     of: _Count | None = optional("Slots that are shared, where their number is known.")
     sweeps: _Count | None = optional("Sweeps that share them, this one too.")
     namespaces: _Count | None = optional("Namespaces of these.")
+    priority: _Text | None = optional("Priority beside other Sweeps, by the PriorityClass of its pods.")
     place: _Count | None = optional("Place in the line for the next free slot, where it waits for one.")
     begin: str | None = optional("When its first run is expected to begin.", max_length=64)
     end: str | None = optional("When its last run is expected to end.", max_length=64)
@@ -318,9 +317,7 @@ class SweepStatus(Status):
         description="Names that each selector of the matrix chose when the Sweep began.",
     )
     best: list[BestRun] = Field(
-        default_factory=list,
-        max_length=BEST_LENGTH,
-        description="Tracked runs with the smallest errors.",
+        default_factory=list, max_length=BEST_LENGTH, description="Tracked runs with the smallest errors."
     )
     points: str | None = optional(
         "State of each point, two bits a point, in base64.",
@@ -386,10 +383,7 @@ class DatasetStatus(Status):
 class AlgorithmStatus(Status):
     """State of the Algorithm."""
 
-    image_id: _Path | None = optional(
-        "Image that its tag meant when a run last used it.",
-        alias="imageID",
-    )
+    image_id: _Path | None = optional("Image that its tag meant when a run last used it.", alias="imageID")
 
 
 STATUSES: dict[str, type[Status]] = {

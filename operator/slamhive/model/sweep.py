@@ -7,7 +7,7 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from slamhive.model.base import Choice, Duration, Labels, Model, Resource, Scalar
+from slamhive.model.base import Choice, Duration, Labels, Model, Name, Resource, Scalar, optional
 from slamhive.model.evaluation import EvaluationSettings
 from slamhive.model.search import Search, SearchMethod
 
@@ -142,6 +142,9 @@ class SweepSpec(Model):
     weight: int = Field(
         default=1, ge=1, le=MOST_WEIGHT, description="Weight by which it shares a cluster with other Sweeps."
     )
+    priority_class_name: Name | None = optional(
+        "PriorityClass of its runs' pods; Sweeps of one with a higher value are served first."
+    )
     max_failures: int | None = Field(default=None, ge=0, description="Failed runs after which it stops.")
     budget: Budget = Field(default_factory=Budget, description="Limits at which it stops starting runs.")
     suspend: bool = Field(default=False, description="Whether to start no further runs.")
@@ -152,6 +155,12 @@ class SweepSpec(Model):
     retention: Retention = Field(
         default_factory=Retention, description="Finished runs and folders that are kept."
     )
+
+    @property
+    def priority_class(self) -> str | None:
+        """Return the name of the PriorityClass that it has, or its template; None: the chart's."""
+        own: str | None = self.priority_class_name or self.template.spec.get("priorityClassName")
+        return own
 
     @property
     def runs_alone(self) -> bool:

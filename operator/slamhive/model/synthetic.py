@@ -184,11 +184,7 @@ class SyntheticRecording(Model):
         default=1, description="Decides the room, its textures, the path's sway and all noise."
     )
     sensors: Annotated[tuple[SyntheticSensor, ...], Field(min_length=1)] = Field(
-        default=(
-            SyntheticSensor.LIDAR,
-            SyntheticSensor.IMU,
-        ),
-        description="What is recorded.",
+        default=(SyntheticSensor.LIDAR, SyntheticSensor.IMU), description="What is recorded."
     )
     loops: Annotated[float, Field(gt=0.0, le=100.0)] = Field(
         default=1.0, description="Laps of about 30 m; a whole number returns to the start."

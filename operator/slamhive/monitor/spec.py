@@ -34,11 +34,11 @@ class Specification:
         for field in fields(self):
             allowed, accepts = _RULES[field.name]
             if not accepts(getattr(self, field.name)):
-                raise SpecError(f"{_camel(field.name)} must be {allowed}, not {getattr(self, field.name)!r}")
+                raise SpecError(f"{camel(field.name)} must be {allowed}, not {getattr(self, field.name)!r}")
 
     def to_json(self) -> str:
         """Return the specification as a JSON object with camelCase keys."""
-        return json.dumps({_camel(field.name): getattr(self, field.name) for field in fields(self)}) + "\n"
+        return json.dumps({camel(field.name): getattr(self, field.name) for field in fields(self)}) + "\n"
 
     @classmethod
     def from_json(cls, text: str | bytes) -> Self:
@@ -53,7 +53,7 @@ class Specification:
             raise SpecError(f"not JSON: {error}") from None
         if not isinstance(values, dict):
             raise SpecError("a specification is a JSON object")
-        names = {_camel(field.name): field for field in fields(cls)}
+        names = {camel(field.name): field for field in fields(cls)}
         if unknown := sorted(values.keys() - names.keys()):
             raise SpecError(f"unknown field {unknown[0]}; known are {', '.join(sorted(names))}")
         required = (name for name, field in names.items() if field.default is MISSING)
@@ -201,7 +201,8 @@ class SidecarSpec(Specification):
     termination_message: str = TERMINATION_MESSAGE
 
 
-def _camel(name: str) -> str:
+def camel(name: str) -> str:
+    """Return a field's name as JSON has it."""
     first, *rest = name.split("_")
     return first + "".join(part.capitalize() for part in rest)
 

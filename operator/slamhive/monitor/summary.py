@@ -11,6 +11,7 @@ from typing import Any
 
 from slamhive.contract.output import OutputContents  # noqa: TC001 - the type of a public field
 from slamhive.monitor.measuring.accounting import MeasuredUsage  # noqa: TC001 - the type of a public field
+from slamhive.monitor.spec import camel
 
 
 class Reason(StrEnum):
@@ -63,7 +64,7 @@ class RunSummary:
         values["reason"] = None if self.reason is None else self.reason.value
         for name in ("started_at", "finished_at"):
             values[name] = None if values[name] is None else iso_time(values[name])
-        told = {_camel(name): _camel_keys(value) for name, value in values.items()}
+        told = {camel(name): _camel_keys(value) for name, value in values.items()}
         return told if self.output is None else {**told, **self.output.as_json()}
 
     def to_json(self) -> str:
@@ -80,9 +81,4 @@ def iso_time(seconds: float) -> str:
 def _camel_keys(value: Any) -> Any:
     if not isinstance(value, dict):
         return value
-    return {_camel(key): _camel_keys(item) for key, item in value.items()}
-
-
-def _camel(name: str) -> str:
-    first, *rest = name.split("_")
-    return first + "".join(part.capitalize() for part in rest)
+    return {camel(key): _camel_keys(item) for key, item in value.items()}

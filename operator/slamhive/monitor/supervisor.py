@@ -197,8 +197,9 @@ class Supervisor:
             if self._program.ended or (self._kill_at is not None and now >= self._kill_at):
                 return
             if deadline is not None and now >= deadline:
+                message = self._contention.overrun(deadline - self._start)
                 deadline = None
-                self._end(StopDecision(Reason.DEADLINE_EXCEEDED, f"it took more than {timeout:g} s"), now)
+                self._end(StopDecision(Reason.DEADLINE_EXCEEDED, message), now)
             if now >= times.due:
                 self._sample(now)
                 times.advance(now)

@@ -6,13 +6,7 @@ from slamhive.plan.checks import impossible, plan_problems
 from slamhive.plan.configuration import run_configuration, whole_cores
 from slamhive.plan.effects import Effect, option_problems, recording_fields
 from slamhive.plan.expansion import Plan, Point
-from slamhive.plan.hashes import (
-    algorithm_hash,
-    content_hash,
-    local_uid,
-    run_name,
-    spec_hash,
-)
+from slamhive.plan.hashes import algorithm_hash, content_hash, local_uid, run_name, spec_hash
 from slamhive.plan.images import image_digest, pinned_digest
 from slamhive.plan.resolution import resolve
 from slamhive.plan.searching import SearchPlan, SearchSpace, plan_of, probed

@@ -239,11 +239,7 @@ class _Check:
 
 
 def _prevented(
-    found: Sequence[OpenFinding],
-    mode: Mode,
-    dataset: Dataset,
-    roles: Sequence[Role],
-    remap: dict[str, str],
+    found: Sequence[OpenFinding], mode: Mode, dataset: Dataset, roles: Sequence[Role], remap: dict[str, str]
 ) -> Iterator[str]:
     try:
         used = {dataset.spec.sensor_for(role, remap) for role in roles}

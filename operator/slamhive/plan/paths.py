@@ -42,6 +42,13 @@ REMAP: Path = (INPUT, "remap")
 PREPARED_BY: Path = (INPUT, "preparedBy")
 
 _ALIASES = {"algorithm": ALGORITHM, "dataset": DATASET}
+_FOR_ALL = {
+    REPETITION: "the number of a repetition cannot be set; use spec.repetitions",
+    ("priorityClassName",): "results don't depend on it, so combinations can't differ in it; use "
+    "spec.priorityClassName",
+    ("cancel",): "combinations can't be cancelled; leave them out by spec.exclude",
+}
+"""Fields that a Sweep's combinations cannot set, and what is there instead."""
 PERTURB: Path = (INPUT, "perturb")
 _BY_ROLE = (REMAP, *((*PERTURB, to_camel(name)) for name in OF_ROLES))
 _MAPS = (PARAMETERS, *_BY_ROLE)
@@ -67,7 +74,7 @@ OBJECTS = frozenset(path[:-1] for path in _FIELDS if len(path) > 1)
 LEAVES = frozenset(_FIELDS) - OBJECTS - set(_MAPS)
 """Paths of fields that hold one value."""
 KNOWN = sorted(
-    [*map(".".join, LEAVES), *_ALIASES, "parameters.NAME"]
+    [*map(".".join, LEAVES - _FOR_ALL.keys()), *_ALIASES, "parameters.NAME"]
     + [f"{'.'.join(path)}.{role}" for path in _BY_ROLE for role in _ROLES]
 )
 """All paths as they are written."""
@@ -161,14 +168,14 @@ def _parse_key(key: str, where: str, *, strict: bool) -> Path:
     return parse_path(key, where)
 
 
-def assign(path: Path, value: Any, where: str, *, strict: bool = False) -> Settings:
+def assign(path: Path, value: Any, where: str) -> Settings:
     """Return the single fields that a value sets at a path, checked and normalised.
 
     Raises:
         InputError: the value doesn't fit the field; one sentence a line.
     """
     problems: list[str] = []
-    result = _assign(path, value, where, problems, strict=strict)
+    result = _assign(path, value, where, problems, strict=False)
     if problems:
         raise InputError("\n".join(problems))
     return result
@@ -189,8 +196,8 @@ def sets_one_field(path: Path) -> bool:
 def _assign(path: Path, value: Any, where: str, problems: list[str], *, strict: bool) -> Settings:
     if sets_one_field(path):
         with Collected(problems):
-            if path == REPETITION and not strict:
-                raise InputError(f"{where}: the number of a repetition cannot be set; use spec.repetitions")
+            if path in _FOR_ALL and not strict:
+                raise InputError(f"{where}: {_FOR_ALL[path]}")
             return {path: check(path, value, where)}
         return {}
     if not isinstance(value, dict):

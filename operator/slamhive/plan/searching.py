@@ -18,14 +18,7 @@ from typing import TYPE_CHECKING, Any, get_args
 from slamhive.model.algorithm import ParameterType
 from slamhive.model.canonical import normalize
 from slamhive.model.errors import InputError
-from slamhive.model.search import (
-    MAX_TRIALS,
-    VALUES_BESIDE,
-    VALUES_NEAR,
-    VALUES_UNKNOWN,
-    SearchMethod,
-    Trial,
-)
+from slamhive.model.search import MAX_TRIALS, VALUES_BESIDE, VALUES_NEAR, VALUES_UNKNOWN, SearchMethod, Trial
 from slamhive.model.sweep import MAX_POINTS
 from slamhive.plan.catalog import FixedCatalog
 from slamhive.plan.expansion import Plan

@@ -28,8 +28,6 @@ _POSE_WHEN = {
 _USUAL_RATE = 10.0
 _ROS2_NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 """Names of topics that `rmw_validate_full_topic_name` takes. Recordings of ROS 1 have others, too."""
-_PARAMETERS = "ros__parameters"
-_KEY = re.compile(r"^( *)(\S.*?):\s*(#.*)?$")
 
 
 def play_request(
@@ -90,7 +88,6 @@ def play_request(
         stepped=configuration.input.pace == Pace.STEPPED,
         step_seconds=seconds(ros.step),
         **(_of_ros2(ros, names, domain) if isinstance(ros, Ros2) else {}),
-        parameters_of=_parameters_of(algorithm, ros),
         data_seconds=configuration.dataset.duration_seconds,
         port=port,
         ready_seconds=seconds(ros.ready),
@@ -147,28 +144,8 @@ def _of_ros2(ros: Ros2, names: dict[str, str], domain: int | None) -> dict[str, 
         for role, offered in ros.qos.items()
         if role in names
     }
-    return {"qos": qos, "domain": domain} | ({"rmw": ros.rmw} if ros.rmw else {})
-
-
-def _parameters_of(algorithm: AlgorithmSpec, ros: RosNode) -> list[str]:
-    """Return the nodes that a node's params file is for, as far as its template tells without a run."""
-    if not isinstance(ros, Ros2) or ros.parameters is None:
-        return []
-    template = next(file.template for file in algorithm.files or () if file.path == ros.parameters)
-    found: list[str] = []
-    above: list[tuple[int, str]] = []
-    for line in template.splitlines():
-        key = _KEY.match(line)
-        if key is None:
-            continue
-        indent, name = len(key[1]), key[2].strip("\"'")
-        above = [one for one in above if one[0] < indent]
-        if name == _PARAMETERS:
-            found.append("/".join(part for _, part in above))
-        above.append((indent, name))
-    # Names that are made of parameters, and sections in one line, are left to ROS.
-    told = len(found) == template.count(_PARAMETERS) and all(name and "{" not in name for name in found)
-    return sorted(set(found)) if told else []
+    told = {"qos": qos, "domain": domain, "parameters": ros.parameters}
+    return told | ({"rmw": ros.rmw} if ros.rmw else {})
 
 
 def _calibrations(configuration: RunConfiguration, names: dict[str, str]) -> dict[str, str]:

@@ -26,7 +26,8 @@ def judge(end: AttemptEnd, played: Played | None) -> AttemptEnd:
     if played is None or end.reason not in {None, Reason.ALGORITHM_FAILED, Reason.CANCELLED}:
         return end
     if played.completed:
-        return replace(end, exit_code=0, signal=None, reason=None, message=None)
+        remark = "; ".join(filter(None, (end.remark, played.message))) or None
+        return replace(end, exit_code=0, signal=None, reason=None, message=None, remark=remark)
     if played.reason is not None:
         return replace(end, reason=Reason(played.reason), message=played.message)
     if end.reason is Reason.CANCELLED:

@@ -23,7 +23,7 @@ class Played(NamedTuple):
         completed: The recording was played to its end and the node was asked to end. How it ends then says
             nothing of its poses: many nodes crash when they are told to go.
         reason: Why playing failed, None if it didn't.
-        message: What went wrong.
+        message: What went wrong, or was odd where it didn't fail.
     """
 
     completed: bool
@@ -39,11 +39,8 @@ def read_report(output: Path | str) -> Played | None:
         return None
     if not isinstance(found, dict):
         return None
+    message = str(found.get("message") or "")[:1000]
     if found.get("state") != "Failed":
-        return Played(found.get("state") == "Ended")
+        return Played(found.get("state") == "Ended", message=message or None)
     reason = found.get("reason")
-    return Played(
-        False,
-        reason if reason in _REASONS else _REASONS[1],
-        str(found.get("message") or "the player failed")[:1000],
-    )
+    return Played(False, reason if reason in _REASONS else _REASONS[1], message or "the player failed")

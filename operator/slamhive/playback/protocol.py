@@ -87,8 +87,8 @@ class PlayRequest:
         qos: Of ROS 2: by the name of a topic as it is played, `reliability` and `durability` as an Algorithm
             has them, where the default won't do.
         rmw: Of ROS 2: the RMW_IMPLEMENTATION of player and node.
-        parameters_of: Of ROS 2: the nodes that the node's params file is for; empty where there is none, or
-            where it can't be told.
+        parameters: Of ROS 2: the node's params file, below the folder of settings files; None where it has
+            none.
         domain: Of ROS 2: the domain to meet in; None for one of this machine that is free.
         data_seconds: Length of the recording.
         port: Of the ROS master; 0 for any that is free.
@@ -113,7 +113,7 @@ class PlayRequest:
     step_seconds: float = 2.0
     qos: dict[str, dict[str, str]] = field(default_factory=dict)
     rmw: str = "rmw_fastrtps_cpp"
-    parameters_of: list[str] = field(default_factory=list)
+    parameters: str | None = None
     domain: int | None = None
     data_seconds: float | None = None
     port: int = 0

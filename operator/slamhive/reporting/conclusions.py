@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from slamhive.analysis.metrics import Metric
+from slamhive.model.base import plural
 from slamhive.reporting.titles import keys_text
 from slamhive.tables.text import constants, implied
 
@@ -70,7 +71,7 @@ def conclusion(found: Aggregate, error: str, cost: str) -> list[str]:
             lost = len(cells) - len(rivals)
             sentences.append(f"{lost} of {len(cells)} settings did not track there in most of their runs.")
     if len(datasets) > _MOST:
-        sentences.append(f"The table has {len(datasets) - _MOST} more datasets.")
+        sentences.append(f"The table has {plural(len(datasets) - _MOST, 'more dataset')}.")
     elif len(datasets) == 1 and rivals:
         sentences.append("That is one recording: on another the order may differ.")
     return sentences
@@ -80,7 +81,7 @@ def _rival(cell: Cell, names: Sequence[str], error: Metric, cost: str) -> _Rival
     figure, price = cell.figures[error.column], cell.figures[cost].summary
     if figure.middle is None or math.isinf(figure.middle):
         return None
-    settings = keys_text({name: cell.keys[name] for name in names})
+    settings = keys_text({name: cell.keys[name] for name in names if cell.keys[name] is not None})
     name = f"{cell.keys['algorithm']} with {settings}" if settings else str(cell.keys["algorithm"])
     told = f"{error.title.partition(' [')[0]} {error.show(figure.middle)} {error.unit}"
     return _Rival(name, figure.middle, figure.ends, told, price.mean if price else None)

@@ -24,19 +24,17 @@ _TIME = ("#440154", "#3b528b", "#21918c", "#5ec962", "#d8b000")
 """Colours of a path from its begin to its end."""
 
 
-def dataset_page(overview: dict[str, Any], description: str, now: datetime | None = None) -> str:
+def dataset_page(overview: dict[str, Any], description: str) -> str:
     """Make the page.
 
     Args:
         overview: what is drawn, as `slamhive.data.inspecting.overview.overview` returns it.
         description: what the dataset is.
-        now: the time it says that it was made.
     """
-    stamp = now or datetime.now(UTC)
     name = str(overview["name"])
     counts = (
         f"{overview['seconds']:.1f} s from {overview['start']:.3f} s · {len(overview['sensors'])} sensors · "
-        f"{stamp:%Y-%m-%d} · slamhive {__version__}"
+        f"{datetime.now(UTC):%Y-%m-%d} · slamhive {__version__}"
     )
     header = element(
         "header",

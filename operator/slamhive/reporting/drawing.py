@@ -88,14 +88,14 @@ class SvgDrawing:
         way = f"M{_n(x - 4)} {_n(y - 4)}l8 8m0 -8l-8 8"
         self.parts.append(element("path", element("title", title), d=way, class_=f"cross {style.colour}"))
 
-    def x_axis(self, scale: Scale, top: float, bottom: float, title: str, *, labels: bool = True) -> None:
+    def x_axis(self, scale: Scale, top: float, bottom: float, title: str) -> None:
         """Draw rules, those of their numbers that have room, and the axis' name beneath."""
         taken = -math.inf
         for tick in scale.ticks:
             x = scale.at(tick)
             self.line((x, top), (x, bottom), "rule")
             half = (len(scale.label(tick)) + 1) * _LETTER / 2
-            if labels and x - half > taken:
+            if x - half > taken:
                 taken = x + half
                 self.text(x, bottom + 15, scale.label(tick), anchor="middle")
         self.text((scale.begin + scale.end) / 2, bottom + 32, clip(title, 60), anchor="middle", class_="name")

@@ -8,17 +8,8 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 from slamhive.model.base import Choice
-from slamhive.reporting.tablewords import (
-    caption as caption_of,
-)
-from slamhive.reporting.tablewords import (
-    column_words,
-    count_text,
-    footnotes,
-    key_title,
-    parts_text,
-    plain,
-)
+from slamhive.reporting.tablewords import caption as caption_of
+from slamhive.reporting.tablewords import column_words, count_text, footnotes, key_title, parts_text, plain
 from slamhive.tables.text import cost_mark, number_text
 
 if TYPE_CHECKING:

@@ -68,11 +68,11 @@ def shortened(text: str, most: int) -> str:
     return f"{text[: most - 1 - end].rstrip()}…{text[len(text) - end :].lstrip()}"
 
 
-def download(name: str, text: str, title: str = "CSV") -> Markup:
-    """Return a link that holds a file, so that no script is needed to save it."""
+def download(name: str, text: str) -> Markup:
+    """Return a link that holds a table, so that no script is needed to save it."""
     data = base64.b64encode(text.encode("utf-8", "replace")).decode()
     address = f"data:text/csv;charset=utf-8;base64,{data}"
-    return element("a", title, href=address, download=name, class_="csv")
+    return element("a", "CSV", href=address, download=name, class_="csv")
 
 
 def shown(value: Any, metric: Metric | None = None) -> str:
@@ -83,7 +83,7 @@ def shown(value: Any, metric: Metric | None = None) -> str:
         return "yes" if value else "no"
     if isinstance(value, int | float) and metric is not None:
         return metric.show(value)
-    return clip(repr(value) if isinstance(value, float) else value)
+    return clip(repr(value).removesuffix(".0") if isinstance(value, float) else value)
 
 
 def parse_metric(column: str) -> Metric:

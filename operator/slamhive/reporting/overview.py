@@ -11,6 +11,7 @@ from slamhive.analysis.derived import LATE_SECONDS, PACE
 from slamhive.analysis.grouping import Groups, late_notes, varies, varying
 from slamhive.analysis.measures import CAUSAL
 from slamhive.analysis.repeating import suspects
+from slamhive.model.base import plural
 from slamhive.model.results import Outcome
 from slamhive.reporting.markup import Markup, clip, element, joined, parse_metric, shown
 from slamhive.reporting.tables import Sheet, bold, notes_html
@@ -81,9 +82,7 @@ def _outcomes_sheet(frame: Frame) -> Sheet:
     """Count what became of the runs of each algorithm."""
     words = _values(frame, "status")
     words = sorted(words, key=lambda word: (word != Outcome.TRACKED.value, word))
-    names = [
-        name for name in ("algorithm", "sensors", "evaluation") if name == "algorithm" or _varies(frame, name)
-    ]
+    names = ["algorithm", *(name for name in ("sensors", "evaluation") if varies(frame, name))]
     groups = Groups(frame, names)
     lines, rows = [], []
     for members, keys in zip(groups.members(), groups.keys, strict=True):
@@ -124,10 +123,7 @@ def runs_section(frame: Frame, metric: str) -> Markup:
     units = [parse_metric(name) for name in metrics]
     first = ordered.select(np.arange(min(len(ordered), MOST_RUNS)))
     lines = [
-        [
-            *(_cell(name, row[name]) for name in names),
-            *(unit.show(row[unit.column]) for unit in units),
-        ]
+        [*(_cell(name, row[name]) for name in names), *(unit.show(row[unit.column]) for unit in units)]
         for row in first.records(list(dict.fromkeys([*names, *metrics, *settings])))
     ]
     headings = [
@@ -138,7 +134,7 @@ def runs_section(frame: Frame, metric: str) -> Markup:
     saved = ordered.select(np.arange(min(len(ordered), MOST_SAVED)))
     wanted = list(dict.fromkeys(["uid", *_RUN_COLUMNS, "reason", "outcome", *metrics, *settings]))
     columns = {name: saved.column(name).tolist() for name in wanted}
-    caption = f"{len(ordered):,} rows, one a run and evaluation"
+    caption = f"{plural(len(ordered), 'row')}, one a run and evaluation"
     if len(ordered) > len(lines):
         caption += f"; the first {len(lines):,} are shown"
     if len(ordered) > MOST_SAVED:
@@ -206,10 +202,6 @@ def _facts(facts: Sequence[tuple[str, str]]) -> Markup:
 
 def _values(frame: Frame, name: str) -> list[Any]:
     return [value for value in frame.column(name).factorized()[1] if value is not None]
-
-
-def _varies(frame: Frame, name: str) -> bool:
-    return len(frame.column(name).factorized()[1]) > 1
 
 
 def _listed(values: Sequence[Any]) -> str:

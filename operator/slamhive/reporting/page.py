@@ -21,6 +21,7 @@ from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.grouping import aggregate
 from slamhive.analysis.measures import Better, measure_of
 from slamhive.analysis.metrics import declared_units
+from slamhive.model.base import plural
 from slamhive.reporting.charts import study_chart
 from slamhive.reporting.conclusions import conclusion
 from slamhive.reporting.drawing import legend
@@ -104,10 +105,7 @@ def report_html(frame: Frame, contents: ReportContents, now: datetime | None = N
 
 
 def _html(frame: Frame, contents: ReportContents, stamp: datetime) -> str:
-    made = {
-        "report made": f"{stamp:%Y-%m-%d} with slamhive {__version__}",
-        "data revision": revision(frame),
-    }
+    made = {"report made": f"{stamp:%Y-%m-%d} with slamhive {__version__}", "data revision": revision(frame)}
     ranked, left = with_figure(frame, contents.metric)
     sections = [
         ("what", "What was compared", overview_section(frame, contents.notes)),
@@ -124,7 +122,8 @@ def _html(frame: Frame, contents: ReportContents, stamp: datetime) -> str:
         for name, title, content in sections
     ]
     links = [element("li", element("a", title, href=f"#{name}")) for name, title, _ in sections]
-    counts = f"{runs_of(frame):,} runs · {stamp:%Y-%m-%d} · slamhive {__version__} · data {revision(frame)}"
+    runs = plural(runs_of(frame), "run")
+    counts = f"{runs} · {stamp:%Y-%m-%d} · slamhive {__version__} · data {revision(frame)}"
     header = element(
         "header",
         element("h1", clip(contents.title, 300)),

@@ -10,6 +10,7 @@ from slamhive.analysis.comparing import compare
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.measures import Better, measure_of
 from slamhive.analysis.pareto import pareto
+from slamhive.model.base import plural
 from slamhive.reporting.charts import MOST_ENTRIES, board_chart, front_chart
 from slamhive.reporting.drawing import legend
 from slamhive.reporting.markup import Markup, clip, element, joined, parse_metric, shown
@@ -245,15 +246,12 @@ def fronts_section(
     more = [f"{left} further charts with fewer runs are left out; the table has them"] if left else []
     if unknown := sum(math.isnan(spot.x) for front in drawn for spot in front.spots):
         more.append(
-            f"{unknown} competitors have no run that counts with this cost and are in the table alone"
+            f"in the table alone, without a run that counts with this cost: {plural(unknown, 'competitor')}"
         )
     sheet = _fronts_sheet(drawn, axes)
     return joined(
         [legend(names, there) if told else None, element("div", *charts, class_="grid"), sheet.html()]
-    ), [
-        *notes,
-        *more,
-    ]
+    ), [*notes, *more]
 
 
 def _fronts_sheet(fronts: Sequence[Front], axes: tuple[str, str]) -> Sheet:

@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING
 from slamhive.local.home.removed import absence, run_parts
 from slamhive.model.results import IMPORTED
 from slamhive.runfiles.artifacts import ArtifactFolder
+from slamhive.runfiles.clocks import CONFIGURATIONS, LATENCIES
 from slamhive.runfiles.ground_truth import DatasetTruths
+from slamhive.runfiles.trajectories import TRAJECTORIES, USAGES
 
 if TYPE_CHECKING:
     from slamhive.model.results import RunRecord
     from slamhive.runfiles.ground_truth import DatasetTruth
 
+_DRAWN = tuple(dict.fromkeys((*TRAJECTORIES, *USAGES, *CONFIGURATIONS, *LATENCIES)))
 _OF_IMPORTS = frozenset({"traj.txt", "profiling.csv", "config.yaml"})
 """Files that may be read of a folder that was imported from elsewhere."""
 
@@ -48,6 +51,28 @@ class HomeFiles:
         """Return the reason that a run's files aren't here, if somebody removed them: part of a sentence."""
         return absence(self._home, record.folder)
 
+    def seen(self, folder: str | None) -> str:
+        """Return a text that tells which files that pages draw of a run are here, and their sizes.
+
+        Args:
+            folder: of the run, as its record has it.
+        """
+        parts, gone = run_parts(folder), absence(self._home, folder)
+        places = [Path(folder)] if folder else []
+        if self._home is not None and parts is not None:
+            places.append(self._home.joinpath("runs", *parts))
+        here = [place for place in dict.fromkeys(places) if place.is_dir()]
+        found = [f"{name} {size}" for place in here for name in _DRAWN if (size := _size(place / name))]
+        return "\n".join([*("folder" for _ in here), *found, *([gone] if gone else [])])
+
     def truth(self, dataset: str, label: str | None) -> DatasetTruth | None:
         """Return the ground truth of a dataset, also filed under its label, if it is at hand."""
         return self._truths.find(dataset, label)
+
+
+def _size(path: Path) -> int:
+    """Return the bytes of a file, 0 where it isn't there."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0

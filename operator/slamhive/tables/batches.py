@@ -17,15 +17,7 @@ from sqlalchemy import func, select
 
 from slamhive.analysis.columns import Column, ColumnKind
 from slamhive.analysis.compact.shapes import is_divided, join, loads, names_of
-from slamhive.analysis.flattening import (
-    LEFT_OUT,
-    OF_RUN,
-    TIMES,
-    Results,
-    Spread,
-    columns_of_runs,
-    stack,
-)
+from slamhive.analysis.flattening import LEFT_OUT, OF_RUN, TIMES, Results, Spread, columns_of_runs, stack
 from slamhive.archive import documents, schema
 from slamhive.archive.connection import shown
 from slamhive.archive.documents import UNREADABLE, raw
@@ -138,8 +130,8 @@ class BatchReader:
         runs = _columns(_turned(rows), (*_RUN, *_DOCUMENTS))
         results = _columns(_turned(measured), (*RESULT_CHANGES, "values"))
         marks = RunMarks.of(
-            [_column(runs[name]) for name in ("id", *CHANGES)],
-            [_column(results[name]) for name in RESULT_CHANGES] if results else [],
+            [Column.of(runs[name]) for name in ("id", *CHANGES)],
+            [Column.of(results[name]) for name in RESULT_CHANGES] if results else [],
         )
         try:
             return RunBatch(_read(connection, runs, results, shapes), marks, [])
@@ -154,10 +146,6 @@ def _columns(columns: Sequence[Sequence[Any]], names: Sequence[str]) -> dict[str
         name: Column.of(values) if name in _AS_COLUMNS else values
         for name, values in zip(names, columns, strict=bool(columns))
     }
-
-
-def _column(values: Any) -> Column:
-    return values if isinstance(values, Column) else Column.of(values)
 
 
 def _results(connection: Connection, ids: Sequence[int]) -> Sequence[Any]:

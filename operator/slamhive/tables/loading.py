@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The archive as a table of columns, kept up to date by reading again only what changed.
 
-The archive has no word for "changed since": so each look compares the short columns of all rows with those
-of the last look, and reads the documents of those runs that differ. A look is only taken when the database
-says that anything at all was written.
+The archive has no word for "changed since": so a look compares the short columns of all rows with those of
+the last look, and reads the documents of those runs that differ. In a large archive that takes long: between
+two such looks, others find the runs alone that were stored since. A look is only taken when the database says
+that anything at all was written.
 """
 
 from __future__ import annotations
@@ -16,11 +17,7 @@ from sqlalchemy import select, text
 
 from slamhive.analysis.columns import Column
 from slamhive.analysis.derived import SweepVersion, with_derived
-from slamhive.analysis.flattening import (
-    MAX_COLUMNS,
-    bound,
-    stack,
-)
+from slamhive.analysis.flattening import MAX_COLUMNS, bound, stack
 from slamhive.analysis.frame import Frame
 from slamhive.archive import schema
 from slamhive.archive.connection import reading
@@ -59,7 +56,9 @@ def change_mark(engine: Engine, held: Connection) -> object:
     return mark
 
 
-def load(engine: Engine, before: Loaded | None = None, stamp: tuple[int, ...] | None = None) -> Loaded:
+def load(
+    engine: Engine, before: Loaded | None = None, stamp: tuple[int, ...] | None = None, *, newer: bool = False
+) -> Loaded:
     """Return the archive as it is now.
 
     Args:
@@ -67,6 +66,8 @@ def load(engine: Engine, before: Loaded | None = None, stamp: tuple[int, ...] | 
         before: an earlier moment: what has not changed since is taken from there.
         stamp: what the database's files looked like before it was connected to: where that is as it was,
             runs are not looked through for changes.
+        newer: whether to read the runs alone that were stored since: all others stay as they were, until they
+            are looked through again.
 
     Raises:
         SystemFault: the database doesn't answer.
@@ -75,7 +76,8 @@ def load(engine: Engine, before: Loaded | None = None, stamp: tuple[int, ...] | 
     with reading(engine) as connection, uncollected():
         known = before.marks
         same = stamp is not None and stamp == before.stamp
-        marks = known if same else _marks(connection) if len(known) else None
+        seen = known if newer else RunMarks.joined([])
+        marks = known if same else _marks(connection, seen) if len(known) else None
         sweeps, odd = _sweeps(connection)
         declared, more = _declared(connection)
         odd += more
@@ -103,12 +105,7 @@ def _sweeps(connection: Connection) -> tuple[tuple[SweepVersion, ...], list[Left
     query = select(
         columns.uid, columns.name, columns.cluster, columns.namespace, columns.created, columns.spec
     )
-    found, left_out = read_rows(
-        connection,
-        query.order_by(columns.uid),
-        schema.sweeps,
-        _version,
-    )
+    found, left_out = read_rows(connection, query.order_by(columns.uid), schema.sweeps, _version)
     return tuple(found), left_out
 
 
@@ -136,13 +133,15 @@ def _declared(connection: Connection) -> tuple[dict[str, dict[str, str]], list[L
     return dict(found), left_out
 
 
-def _marks(connection: Connection) -> RunMarks:
-    """Return a short mark of each run's look."""
+def _marks(connection: Connection, seen: RunMarks) -> RunMarks:
+    """Return a short mark of each run's look: those seen as they were, and those of the runs behind them."""
+    last = int(seen.ids[-1]) if len(seen) else -1
     runs, results = schema.runs.c, schema.results.c
     asked_for = [raw(connection, runs[name]) for name in ("id", *CHANGES)]
-    query = select(*asked_for).order_by(runs.id)
-    found = RunMarks.joined([RunMarks.of(part, ()) for part in _streamed(connection, query)])
-    for part in _streamed(connection, select(*(results[name] for name in RESULT_CHANGES))):
+    query = select(*asked_for).where(runs.id > last).order_by(runs.id)
+    found = RunMarks.joined([seen, *(RunMarks.of(part, ()) for part in _streamed(connection, query))])
+    measured = select(*(results[name] for name in RESULT_CHANGES)).where(results.run_id > last)
+    for part in _streamed(connection, measured):
         found = found.with_results(part)
     return found
 
@@ -156,13 +155,15 @@ def _merge(before: Frame, stays: Any, fresh: list[Part], sweeps: tuple[SweepVers
     """Return the rows that stay, by the ids of their runs, with fresh ones."""
     parts = list(fresh)
     if len(before):
-        kept = before.select(np.isin(before.column("id").numbers, stays))
+        inside = np.isin(before.column("id").numbers, stays)
+        kept = before if inside.all() else before.select(inside)
         parts.insert(0, ({name: kept.column(name) for name in kept.stored}, len(kept)))
     bound(parts, before.stored, MAX_COLUMNS)
     columns, length = stack([part for part in parts if part[1]])
     if not length:
         return Frame({}, 0)
-    if len(before):
-        order = np.argsort(columns["id"].numbers, kind="stable")
+    ids = columns["id"].numbers
+    if not (ids[1:] >= ids[:-1]).all():
+        order = np.argsort(ids, kind="stable")
         columns = {name: column.take(order) for name, column in columns.items()}
     return with_derived(columns, length, sweeps)

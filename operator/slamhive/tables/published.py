@@ -17,13 +17,13 @@ import yaml
 from pydantic import ValidationError
 
 import slamhive
-from slamhive.analysis.measures import is_error
+from slamhive.analysis.measures import figures, is_error, is_listed
 from slamhive.analysis.metrics import Metric
 from slamhive.model.base import explain
 from slamhive.model.catalogue import load_catalogue, sequence_attributes
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.published import PublishedNumbers, PublishedStatistic
-from slamhive.tables.verdicts import Agreement, Assessment, OwnRuns, alignment_words, plain_name
+from slamhive.tables.verdicts import SAME_LENGTH, Agreement, Assessment, OwnRuns, alignment_words, plain_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -38,6 +38,16 @@ _MOST_BYTES = 2**22
 _MOST_PLACES = 3
 _CLOSE = 0.75
 """Likeness from which on a name is a misspelt other one."""
+_CLOSEST = 0.85
+"""Likewise of columns, which are longer."""
+_RPES = 10
+"""RPEs whose columns are proposed."""
+_NEVER_SMALLER = {"min": ("median", "mean", "rmse", "max"), "median": ("max",)} | {
+    "mean": ("rmse", "max"),
+    "rmse": ("max",),
+}
+"""Statistics of one error by those that are never larger."""
+_ROUNDED = 1e-9
 
 
 @dataclass(frozen=True)
@@ -144,7 +154,46 @@ def _read(path: Path, _changed: int) -> PublishedNumbers:
     for table in numbers.tables:
         for name in {name for row in table.rows for name in row.values}:
             _metric(table, name, f"{path}: {table.place}")
+            _require_known(name, f"{path}: {table.place}")
+        for row in table.rows:
+            for name, value in (*row.values.items(), *row.spreads.items()):
+                if value < 0 and is_error(name):
+                    where = f"{path}: {table.place}: {row.system} on {row.dataset}"
+                    raise InputError(f"{where}: {name}: expected a number from 0 on, found {value:g}")
+            _require_order(table, row, f"{path}: {table.place}: {row.system} on {row.dataset}")
     return numbers
+
+
+def _require_order(table: PublishedTable, row: PublishedRow, where: str) -> None:
+    """Refuse statistics of one error that can't be of one trajectory, as in columns that were swapped.
+
+    Raises:
+        InputError: one is larger than another that is never smaller.
+    """
+    for name, value in row.values.items():
+        kind, _, statistic = name.rpartition(".")
+        for larger in _NEVER_SMALLER.get(statistic, ()):
+            other = row.values.get(f"{kind}.{larger}")
+            if other is None or not is_error(name):
+                continue
+            # Numbers as printed: rounding keeps their order, units may not.
+            smaller = value / _metric(table, name).factor
+            if smaller > other / _metric(table, f"{kind}.{larger}").factor * (1 + _ROUNDED):
+                raise InputError(
+                    f"{where}: {name} {value:g} is larger than {kind}.{larger} {other:g}, which is never "
+                    "smaller; were columns or units swapped?"
+                )
+
+
+def _require_known(column: str, where: str) -> None:
+    """Refuse the name of a column that is a misspelt other one; others may be of somebody's own.
+
+    Raises:
+        InputError: it seems to be.
+    """
+    close = [] if is_listed(column) else get_close_matches(column, figures(_RPES), 1, _CLOSEST)
+    if close:
+        raise InputError(f"{where}: unknown column {column!r}; did you mean {close[0]!r}?")
 
 
 def check_names(numbers: PublishedNumbers, path: Path) -> list[str]:
@@ -160,6 +209,11 @@ def check_names(numbers: PublishedNumbers, path: Path) -> list[str]:
         for family in numbers.families
         if family not in catalogue and (close := get_close_matches(family, catalogue, 1, _CLOSE))
     ]
+    given = {name for members in numbers.families.values() for name in members}
+    for name, metres in numbers.lengths.items():
+        holders = [family for family, one in catalogue.items() if name in one.rows]
+        if name not in given and len(holders) == 1 and (wrong := _wrong_length(metres, holders, name)):
+            remarks.append(f"{path.name}: lengths: {wrong}; is another sequence meant?")
     every = known or {name for family in catalogue.values() for name in family.rows}
     for place, table in enumerate(numbers.tables):
         for name in dict.fromkeys(row.dataset for row in table.rows):
@@ -184,10 +238,22 @@ def _checked_families(numbers: PublishedNumbers, catalogue: Mapping[str, Family]
             if name not in catalogue[family].rows:
                 raise UnknownNameError("sequence", name, catalogue[family].rows, f"{path}: families.{family}")
         known |= set(catalogue[family].rows)
-    for name in numbers.lengths:
+    for name, metres in numbers.lengths.items():
         if known and name not in known:
             raise UnknownNameError("sequence", name, known, f"{path}: lengths")
+        of = [family for family, members in numbers.families.items() if name in members]
+        if of and (wrong := _wrong_length(metres, of, name)):
+            raise InputError(f"{path}: lengths: {wrong}")
     return known
+
+
+def _wrong_length(metres: float, families: Sequence[str], sequence: str) -> str:
+    """Say what is wrong with the length of a sequence, as the catalogue knows it; empty where nothing is."""
+    for family in families:
+        right = sequence_attributes(family, sequence).get("lengthMetres")
+        if right is not None and abs(metres - float(right)) > SAME_LENGTH * float(right):
+            return f"{sequence} of {family} is {right} m long, not {metres:g}"
+    return ""
 
 
 def published_files(home: Path | None) -> list[Path]:

@@ -19,16 +19,18 @@ from slamhive.analysis.importance import explained
 from slamhive.analysis.searches.seen import rows_seen
 from slamhive.analysis.selection import first_rows
 from slamhive.analysis.statistics import average_ranks
+from slamhive.archive.archive import FOREIGN
 from slamhive.engine import best_of
 from slamhive.engine.deciding import decide
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.base import API_VERSION
 from slamhive.model.dataset import Dataset
-from slamhive.model.errors import InputError
+from slamhive.model.errors import InputError, SlamHiveError
 from slamhive.model.results import Phase
 from slamhive.model.search import Goal
 from slamhive.model.sweep import Sweep
 from slamhive.plan import FixedCatalog, SearchPlan
+from slamhive.plan import plan_of as plan_of_sweep
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -248,13 +250,24 @@ def catalog_of(entries: Iterable[CatalogEntry]) -> FixedCatalog:
 
 
 def sweep_of(record: SweepRecord) -> Sweep:
-    """Return the Sweep that a record was made of.
+    """Return the Sweep that a record was made of; somebody else's without the label that it has here.
 
     Raises:
         ValueError: it is none that this version knows.
     """
-    body: dict[str, Any] = {"apiVersion": API_VERSION, "kind": "Sweep", "metadata": {"name": record.name}}
+    name = record.name.partition(FOREIGN)[0]
+    body: dict[str, Any] = {"apiVersion": API_VERSION, "kind": "Sweep", "metadata": {"name": name}}
     return Sweep.model_validate(body | {"spec": record.spec})
+
+
+def most_runs(record: SweepRecord) -> int | None:
+    """Return the number of runs that a sweep asks for, a search at most; None where its spec doesn't say."""
+    if not record.spec:
+        return None
+    try:
+        return plan_of_sweep(sweep_of(record), FixedCatalog(), strict=False).most_runs
+    except (SlamHiveError, ValueError, KeyError, TypeError):
+        return None
 
 
 def plan_of(record: SweepRecord, catalog: Catalog | None = None) -> SearchPlan:
@@ -268,8 +281,8 @@ def plan_of(record: SweepRecord, catalog: Catalog | None = None) -> SearchPlan:
         InputError: it is no search, or not one that this version can read.
     """
     try:
-        sweep = sweep_of(record)
-        if not sweep.spec.search.is_search:
+        sweep = sweep_of(record) if record.spec else None  # trajectories of others have none
+        if sweep is None or not sweep.spec.search.is_search:
             raise InputError(f"sweep {record.name}: is no search: it runs every point of its matrix")
         trials = record.search.trials if record.search is not None else []
         return SearchPlan(sweep, catalog or FixedCatalog(), trials, strict=False, uid=record.uid)

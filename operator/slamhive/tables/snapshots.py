@@ -22,6 +22,7 @@ import numpy as np
 
 from slamhive import __version__
 from slamhive.analysis.columns import Column, ColumnKind
+from slamhive.analysis.compact.growing import joined
 from slamhive.analysis.compact.shapes import loads
 from slamhive.analysis.compact.texts import PackedTexts
 from slamhive.analysis.derived import SweepVersion, with_derived
@@ -94,10 +95,7 @@ def stamp_of(url: str) -> tuple[int, ...] | None:
 def save(path: Path, loaded: Loaded) -> None:
     """Write a table; a disk that refuses is no fault."""
     frame = loaded.frame
-    arrays: dict[str, Any] = {
-        "ids": loaded.marks.ids,
-        "marks": loaded.marks.marks,
-    }
+    arrays: dict[str, Any] = {"ids": loaded.marks.ids, "marks": loaded.marks.marks}
     described = []
     for number, name in enumerate(name for name in frame.stored if name not in DERIVED):
         column = frame.column(name)
@@ -211,11 +209,11 @@ def _column(item: dict[str, Any], array: Any, values: Any, rows: int) -> Column:
     if array.shape != (rows,):
         raise ValueError(f"a column's shape {array.shape} is not ({rows},)")
     if values is None:
-        return Column(kind, array.astype(np.float64, copy=False), np.empty(0, dtype=np.int32))
+        return Column(kind, joined([array.astype(np.float64, copy=False)]), np.empty(0, dtype=np.int32))
     if not item["array"]:
         values = tuple(loads(values.tobytes()))
     elif not kind.is_numeric:
-        values = PackedTexts(values)
+        values = PackedTexts(joined([values]))
     if rows and not -1 <= int(array.min()) <= int(array.max()) < len(values):
         raise ValueError("a code without a value")
     return Column(kind, np.empty(0), array, values)

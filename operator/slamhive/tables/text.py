@@ -64,7 +64,7 @@ def key_text(value: Any) -> str:
         return found
     if kind is int:
         return str(value)
-    return value_text(_AS_STORED, value) if not isinstance(value, float) else repr(value)
+    return value_text(_AS_STORED, value) if not isinstance(value, float) else repr(value).removesuffix(".0")
 
 
 def spread_text(metric: Metric, summary: Summary | None) -> str:

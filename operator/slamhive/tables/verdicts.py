@@ -11,7 +11,6 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from functools import partial
-from operator import eq
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from slamhive.analysis.cells import Cell
     from slamhive.analysis.columns import Integers, Mask
     from slamhive.analysis.frame import Frame
+    from slamhive.model.base import Scalar
     from slamhive.model.published import PublishedRow, PublishedTable
 
 NEAR = 0.1
@@ -48,7 +48,7 @@ RULE = (
     "contains it"
 )
 """The rule that verdicts follow, as a sentence."""
-_MEASURED = re.compile(r"(keyframes|all (?:frames|scans|poses))\b", re.IGNORECASE)
+_MEASURED = re.compile(r"(?:only |the )?(key[ _-]?frames?|all (?:frames|scans|poses))\b", re.IGNORECASE)
 _BODY = frozenset({"body", "imu"})
 
 
@@ -160,6 +160,9 @@ class OwnRuns:
             named = [row.system, *([str(row.sensors)] if row.sensors else [])]
             named += [f"with {name} {value}" for name, value in row.parameters.items()]
             return Assessment(Agreement.NOT_RUN, f"no own run of {' '.join(named)}")
+        mask &= ~self._changed()
+        if not mask.any():
+            return _not("own runs had their frames changed on purpose (input.perturb, input.preparedBy)")
         if table.alignment is None:
             return _not("the alignment isn't said")
         wanted = table.alignment.lower()
@@ -169,7 +172,7 @@ class OwnRuns:
             return _not(f"aligned by {table.alignment}, own runs by {own or 'what nobody knows'}")
         alike = aligned
         if measured := _MEASURED.match(table.poses or ""):
-            keyframes, some = self._of("keyframes", bool), measured[1].lower() == "keyframes"
+            keyframes, some = self._of("keyframes", bool), measured[1].lower().startswith("key")
             alike = aligned & (keyframes if some else ~keyframes)
             if not alike.any():
                 own = "all poses" if some else "keyframes alone"
@@ -189,8 +192,16 @@ class OwnRuns:
         if row.sensors is not None:
             wanted["sensors"] = row.sensors
         for name, value in wanted.items():
-            mask &= self._of(name, partial(eq, value))
+            mask &= self._of(name, partial(_is_same, value))
         return mask
+
+    def _changed(self) -> Mask:
+        """Return the runs whose frames aren't those that were recorded, (n,)."""
+        found: Mask = np.zeros(len(self._frame), bool)
+        for name in self._frame.stored:
+            if name == "input.preparedBy" or (name.startswith("input.perturb.") and "seed" not in name):
+                found |= self._of(name, bool)
+        return found
 
     def _of(self, name: str, fits: Callable[[Any], object]) -> Mask:
         """Return the rows whose value of a column fits, (n,); one that isn't known doesn't."""
@@ -212,6 +223,15 @@ def is_system(algorithm: str, system: str) -> bool:
     return f"{algorithm}-".startswith(f"{plain_name(system)}-")
 
 
+def _is_same(published: Scalar, own: Scalar) -> bool:
+    """Tell whether settings are equal, however they are written: ``"5"`` is 5 and 5.0, but no ``true``."""
+    both = str(published).lower(), str(own).lower()
+    try:
+        return float(both[0]) == float(both[1])
+    except ValueError:
+        return both[0] == both[1]
+
+
 def alignment_words(frame: Frame) -> list[str]:
     """Return the alignments of runs, sorted, as they are called in manifests."""
     words = {one.lower(): str(one) for one in Alignment}
@@ -228,13 +248,8 @@ def _compared(cell: Cell, column: str, number: float, spread: float | None, *, m
     assert summary is not None  # noqa: S101 - only such cells are asked for
     own = summary.median if median else summary.mean
     sign = measure_of(column).sign
-    if min(own, number) <= 0 or not 1 / _APART < own / number < _APART:
-        return Assessment(
-            Agreement.NOT_COMPARABLE,
-            f"not comparable: {number:.3g} and {own:.3g} are more than {_APART:.0f} times apart; "
-            "is the unit the same?",
-            own,
-        )
+    if doubt := _doubt(own, number, spread):
+        return Assessment(Agreement.NOT_COMPARABLE, f"not comparable: {doubt}; is the unit the same?", own)
     share = own / number - 1
     if spread is not None and abs(own - number) <= DEVIATIONS * spread:
         return Assessment(Agreement.WITHIN, f"within {DEVIATIONS} of the paper's standard deviations", own)
@@ -247,6 +262,15 @@ def _compared(cell: Cell, column: str, number: float, spread: float | None, *, m
     if sign * share < 0:
         return Assessment(Agreement.BETTER, f"better ({_percent(share)})", own)
     return Assessment(Agreement.WORSE, f"worse ({_percent(share)})", own)
+
+
+def _doubt(own: float, number: float, spread: float | None) -> str:
+    """Say why numbers seem to be in another unit, or of another quantity; empty where they don't."""
+    if spread is not None and spread > number:
+        return f"the paper's standard deviation {spread:.3g} is larger than its {number:.3g}"
+    if min(own, number) <= 0 or not 1 / _APART < own / number < _APART:
+        return f"{number:.3g} and {own:.3g} are more than {_APART:.0f} times apart"
+    return ""
 
 
 def _percent(share: float) -> str:

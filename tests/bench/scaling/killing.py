@@ -120,6 +120,10 @@ def parts(
         until(
             lambda: access.run("get", "--raw", "/readyz").returncode == 0, "the API server", _READY_SECONDS, 1
         )
+        # kwok 0.8 gives a pod up whose patch failed as etcd went away, where a kubelet tries again; it looks
+        # once more at what changes.
+        going = "--field-selector=status.phase!=Succeeded,status.phase!=Failed"
+        access.run("annotate", "pods", "--all-namespaces", going, "--overwrite", f"seen={time.time():.0f}")
 
     def archive(seconds: float) -> None:
         if database is not None:

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Admission of new objects by LimitRanges, as to what containers ask for, and by ResourceQuotas."""
+"""Admission of new objects by PriorityClasses, LimitRanges (what containers ask for) and ResourceQuotas."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from fakeapi.refusals import forbidden
-from fakeapi.resources import LIMIT_RANGES, PODS, QUOTAS, Resource
+from fakeapi.resources import LIMIT_RANGES, PODS, PRIORITY_CLASSES, QUOTAS, Resource
 
 from slamhive.model.base import quantity
 
@@ -31,6 +31,9 @@ def insist(resource: Resource, body: Object, others: Callable[[Resource, str], l
         return
     name, namespace = body["metadata"]["name"], body["metadata"]["namespace"]
     if resource is PODS:
+        wanted = body["spec"].get("priorityClassName")
+        if wanted and wanted not in {one["metadata"]["name"] for one in others(PRIORITY_CLASSES, "")}:
+            raise forbidden("pods", name, f"no PriorityClass with name {wanted} was found")
         for limits in others(LIMIT_RANGES, namespace):
             why = _above(limits, body)
             if why:

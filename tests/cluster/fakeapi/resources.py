@@ -76,6 +76,7 @@ NAMESPACES = Resource("", "v1", "namespaces", "Namespace", namespaced=False)
 NODES = Resource("", "v1", "nodes", "Node", namespaced=False, has_status=True)
 LIMIT_RANGES = Resource("", "v1", "limitranges", "LimitRange")
 QUOTAS = Resource("", "v1", "resourcequotas", "ResourceQuota")
+PRIORITY_CLASSES = Resource("scheduling.k8s.io", "v1", "priorityclasses", "PriorityClass", namespaced=False)
 
 WORKLOADS = Resource("kueue.x-k8s.io", "v1beta2", "workloads", "Workload", has_status=True)
 """Kueue's picture of a Job; served only where a test installs Kueue."""
@@ -98,7 +99,7 @@ def resources() -> tuple[Resource, ...]:
                 schema=schema,
             )
         )
-    return (PODS, JOBS, EVENTS, NAMESPACES, NODES, LIMIT_RANGES, QUOTAS, WORKLOADS, *ours)
+    return (PODS, JOBS, EVENTS, NAMESPACES, NODES, LIMIT_RANGES, QUOTAS, PRIORITY_CLASSES, WORKLOADS, *ours)
 
 
 def named(word: str) -> Resource:

@@ -274,14 +274,14 @@ async def test_a_plan_is_laid_out_once_a_sweep(
         archive.put_sweep(SweepRecord(uid="s1", name="study", spec=spec))
     laid_out = tmp_path / "laid-out"
     laid_out.write_text("")
-    real = totals.total
+    real = totals.most_runs
 
     def noted(record: SweepRecord) -> int | None:
         with laid_out.open("a") as file:
             file.write(f"{record.uid}\n")
         return real(record)
 
-    monkeypatch.setattr(totals, "total", noted)
+    monkeypatch.setattr(totals, "most_runs", noted)
     async with open_app(Workstation(url)) as api:
         for path in ("/sweeps", "/sweeps/study", "/sweeps?again=1"):
             found = await api.get(path)

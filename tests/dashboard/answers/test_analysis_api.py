@@ -13,6 +13,7 @@ import pytest
 from slamhive.analysis.columns import Column
 from slamhive.analysis.frame import Frame
 from slamhive.dashboard.answers.analysis import mixtures
+from slamhive.dashboard.answers.columns import profile
 
 ANALYSES = (
     "aggregate",
@@ -32,6 +33,15 @@ def test_mixtures_are_worded_as_a_site_without_a_server_words_them() -> None:
     smt = "provenance.machine.smt"
     [found] = mixtures(Frame({smt: Column.of([True, False, None])}, 3), [])
     assert "(false, true, unknown)" in found["sentence"]
+
+
+@pytest.mark.parametrize("few", [True, False])
+def test_a_large_column_s_ends_and_few_values_are_those_of_all_rows(few: bool) -> None:
+    numbers = [float(k % 150 if few else k) for k in range(30_000)]
+    numbers[-3:] = [-5.5, 1e6, None]  # type: ignore[list-item]
+    found = profile(Frame({"scale": Column.of(numbers)}, len(numbers)), "scale")
+    assert (found["min"], found["max"], found["count"]) == (-5.5, 1e6, 29_999)
+    assert found["distinct"] == (152 if few else 20_000)
 
 
 async def test_points_hold_every_run_failed_or_not(api: Any) -> None:

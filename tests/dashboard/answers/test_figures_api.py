@@ -366,7 +366,7 @@ async def test_a_timeline_has_a_lane_for_what_goes_on_at_a_time(timed: Any) -> N
     assert [value - noon for value in answer["extent"]] == [0, 100]
     assert (bars["failed"], answer["failed"]) == ([False, True, False, True], 2)
     # What was taken over was not done again.
-    assert any("1 runs took over" in note for note in answer["notes"])
+    assert any("1 run that took over" in note for note in answer["notes"])
 
 
 async def test_a_part_of_the_time(timed: Any) -> None:

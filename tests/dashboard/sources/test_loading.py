@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from slamhive.archive import Archive, SweepRecord
 from slamhive.archive.connection import connect
+from slamhive.dashboard.sources.archived import ArchiveData
 from slamhive.model.results import IntendedEvaluation, Outcome, Phase, Result
 from slamhive.tables.helping import ReadingHelper
 from slamhive.tables.loading import load
@@ -50,6 +52,7 @@ FIRST = {
     "usage.cpu.meanCores": 1.5,
     "usage.cpu.seconds": 10.0,
     "usage.wallSeconds": 20.0,
+    "usage.undisturbedSeconds": 20.0,
     "trajectory.poses": 10,
     "trajectory.durationSeconds": 1.0,
     "trajectory.path": "x",
@@ -145,6 +148,40 @@ def test_a_change_is_seen_as_if_all_were_read_again(
         assert after is not before
         assert rows_of(after.frame) == rows_of(load(engine).frame)
         assert_holds(after.frame, archive)
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_look_for_newer_runs_finds_those_alone_and_the_next_one_all(
+    change: Callable[..., None], assorted: str, make_run: Callable[..., RunRecord]
+) -> None:
+    engine = connect(assorted)
+    before = load(engine)
+    with Archive.open(assorted) as archive:
+        change(archive, make_run)
+    newer, whole = load(engine, before, newer=True), rows_of(load(engine).frame)
+    more = whole[len(before.frame) :] if change is add_runs else []
+    assert rows_of(newer.frame) == [*rows_of(before.frame), *more]
+    assert rows_of(load(engine, newer).frame) == whole
+
+
+def test_after_a_long_look_new_runs_come_at_once_and_removals_with_the_next_one(
+    assorted: str, make_run: Callable[..., RunRecord]
+) -> None:
+    ticks = count(0.0, 2.0)
+    data = ArchiveData(assorted, clock=lambda: next(ticks))
+    data.look()
+    with Archive.open(assorted) as archive:
+        archive.put_run(make_run(100))
+        archive.remove_run("uid-007")
+    data.look(again=True)
+    assert {"uid-100", "uid-007"} <= set(data.frame.column("uid").tolist())
+    assert "removed and edited runs are shown as they were for up to 1 min" in data.said[0]
+    while "uid-007" in data.frame.column("uid").tolist():
+        assert next(ticks) < 200
+        data.look(again=True)
+    assert rows_of(data.frame) == rows_of(load(connect(assorted)).frame.without(["folder"]))
+    assert data.said == ()
+    data.close()
 
 
 def test_a_new_version_of_a_sweep_supersedes_the_runs_of_the_one_before(

@@ -27,9 +27,9 @@ async def test_a_look_that_hangs_is_not_waited_for(
 ) -> None:
     released, real = threading.Event(), sources.load
 
-    def hang(*given: Any) -> Any:
+    def hang(*given: Any, **named: Any) -> Any:
         released.wait(60)
-        return real(*given)
+        return real(*given, **named)
 
     async with open_app(Workstation(assorted)) as client:
         total = (await client.get("/runs"))["total"]

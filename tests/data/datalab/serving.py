@@ -19,6 +19,14 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 BLOCK = 1 << 18
+_OK = b"HTTP/1.1 200 OK\r\n"
+ENDLESS = {
+    "/endless.bag": (_OK + b"\r\n", b"a recording\n" * 1000),
+    "/heads.bag": (b"", b"HTTP/1.1 100 Continue\r\n\r\n"),
+    "/page.bag": (_OK + b"Content-Type: text/html\r\n\r\n", b" "),
+    "/trailer.bag": (_OK + b"Transfer-Encoding: chunked\r\n\r\n1\r\na\r\n0\r\n", b"more: of it\r\n"),
+}
+"""Bytes that are sent first, and those that are sent for ever after, by path."""
 
 
 @dataclass
@@ -71,8 +79,8 @@ class Handler(http.server.BaseHTTPRequestHandler):
         site.asked.append((self.path, asked))
         if site.odd:
             self._head(*site.odd)
-        elif self.path == "/endless.bag":
-            self._endless()
+        elif self.path in ENDLESS:
+            self._endless(*ENDLESS[self.path])
         elif self.path.startswith("/to/"):
             self._head(302, {"Location": self.path.removeprefix("/to/"), "Content-Length": "0"})
         elif self.path.split("?")[0] in site.pages and "confirm=" not in self.path:
@@ -97,11 +105,11 @@ class Handler(http.server.BaseHTTPRequestHandler):
             self.send_header(name, value)
         self.end_headers()
 
-    def _endless(self) -> None:
-        self._head(200, {})
+    def _endless(self, first: bytes, block: bytes) -> None:
         with contextlib.suppress(OSError):  # until nobody listens any more
+            self.wfile.write(first)
             while True:
-                self.wfile.write(b"a recording\n" * 1000)
+                self.wfile.write(block)
 
     def _file(self, path: Path, asked: str | None) -> None:
         site, size = self.site, path.stat().st_size

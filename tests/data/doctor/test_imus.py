@@ -99,15 +99,17 @@ def yaw_truth() -> Any:
         ((1, 1000 / 9.80665), "forceScale", "units of mg", 9.80665e-3),
         ((1 / DEGREE, 1), "rateScale", "deg/s by the way that gravity turns", DEGREE),
         ((DEGREE, 1), "rateScale", "radians taken for degrees", 1 / DEGREE),
+        ((-1, 1), "rateScale", "are of the wrong sign by the way that gravity turns", -1),
+        ((-1 / DEGREE, 1), "rateScale", "deg/s of the wrong sign", -DEGREE),
     ],
 )
-def test_units_are_named_with_the_factor_that_mends_them(
+def test_units_and_signs_are_named_with_the_factor_that_mends_them(
     recorded: Any, factor: Any, field: str, words: str, scale: float
 ) -> None:
     rates, forces = TILTING
     entry = recorded(imu=(rates * factor[0], forces * factor[1]))
     (finding,) = ours(entry).values()
-    assert (finding.code, finding.severity) == ("imu.units", "warning")
+    assert (finding.code, finding.severity) == ("imu.sign" if scale == -1 else "imu.units", "warning")
     assert words in finding.message
     assert finding.repair["repair"]["sensors"]["imu"] == {field: pytest.approx(scale, rel=1e-5)}
     assert ours(repaired(entry, finding)) == {}
@@ -159,6 +161,32 @@ def test_halves_of_an_imu_are_joined(recorded: Any, nothing: float, tmp_path: Pa
         sample = recording.first("/gyro")
     assert sample.linear_acceleration.z == pytest.approx(forces[0, 2])
     assert ours(suggested) == {}
+
+
+@pytest.mark.parametrize("kind", ["AccelStamped", "Vector3Stamped"])
+def test_forces_of_another_type_are_a_half_too(
+    kind: str, bag_writer: Any, bag_entry: Any, tmp_path: Path
+) -> None:
+    class Halves(bag_writer):  # type: ignore[misc]
+        def forces(self, stamp: int, force: Any) -> None:
+            make = {name.rsplit("/", 1)[-1]: made for name, made in self._types.items()}
+            vector = make["Vector3"](*force.tolist())
+            value = make["Accel"](vector, make["Vector3"](0.0, 0.0, 0.0)) if "Accel" in kind else vector
+            message = make[kind](self._header("/accel", stamp, "imu"), value)
+            self._write("/accel", f"geometry_msgs/msg/{kind}", stamp, message)
+
+    rates, forces = TILTING
+    with Halves(tmp_path / "walk.bag") as bag:
+        for k, t in enumerate(TIMES.tolist()):
+            at = round((START + t) * NS)
+            bag.imu("/gyro", at, "imu", rates[k], np.zeros(3))
+            bag.forces(at, forces[k])
+    entry = bag_entry(tmp_path / "walk.bag", {"imu": ("Imu", "/gyro")})
+    finding = ours(entry)["imu.halves"]
+    assert finding.repair["repair"]["sensors"]["imu"] == {"forces": "/accel"}
+    assert ours(repaired(entry, finding)) == {}
+    spec = suggest_dataset([tmp_path / "walk.bag"], "walk", tmp_path).manifest["spec"]
+    assert spec["repair"] == {"sensors": {"imu": {"forces": "/accel"}}}
 
 
 def test_each_half_goes_with_the_forces_of_its_own_device(recorded: Any, tmp_path: Path) -> None:

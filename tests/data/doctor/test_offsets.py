@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -11,11 +12,15 @@ import pytest
 from spoiling import found_in
 
 from slamhive.data.doctor.matching import match
+from slamhive.data.doctor.mountings import judge_mountings
 from slamhive.data.doctor.turning import Turning, Turns
+from slamhive.data.doctor.voting import TurningSensor
 from slamhive.data.inspecting.inspection import inspect
 from slamhive.data.recordings.entries import DatasetEntry
 from slamhive.data.store.datasets import materialise
 from slamhive.model.dataset import Dataset
+from slamhive.model.sensors import SensorType
+from slamhive.model.variant import TRUTH
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -88,11 +93,33 @@ def test_clocks_and_mountings_that_are_right_are_no_finding(
     assert warned(scanned) == warned(filmed) == {}
 
 
+def test_it_is_said_how_far_each_step_is(scanned: DatasetEntry) -> None:
+    told: dict[str, list[float | None]] = {}
+    inspect(scanned, progress=lambda what, share: told.setdefault(what, []).append(share))
+    assert told.pop("step 2 of 3, judging") == [None]
+    assert [*told] == ["step 1 of 3, reading", "step 3 of 3, how lidar turned"]
+    for shares in told.values():
+        known = [share for share in shares if share is not None]
+        assert known == sorted(known)
+        assert 0.9 < known[-1] <= 1.0
+
+
 def test_ground_truth_of_another_epoch_is_found_by_turning(scanned: DatasetEntry) -> None:
     finding = found_in(changed(scanned, {"groundTruth": 37.0}))["clock.epoch"]
     assert (finding.sensor, finding.severity) == ("groundTruth", "error")
     assert "which is TAI − UTC" in finding.message
     assert shift_of(finding) == pytest.approx(-37.0, abs=0.003)
+
+
+@pytest.mark.parametrize(
+    ("ahead", "said"), [(37.0, "TAI − UTC"), (3.0 - 1.6e9, "count from a sensor's start")]
+)
+def test_a_lone_lidar_of_another_epoch_than_the_truth_is_found(
+    scanned: DatasetEntry, ahead: float, said: str
+) -> None:
+    finding = found_in(changed(scanned, {"lidar": ahead}, ("imu",)))["clock.epoch"]
+    assert said in finding.message
+    assert shift_of(finding) == pytest.approx(ahead, abs=0.01)
 
 
 def test_without_a_gyro_cameras_are_held_against_the_ground_truth(filmed: DatasetEntry) -> None:
@@ -130,6 +157,17 @@ def test_a_mounting_that_is_stated_wrong_is_corrected(scanned: DatasetEntry, nam
     assert np.degrees(left) < 0.5
 
 
+@pytest.mark.parametrize(("scale", "code"), [(-1.0, "imu.sign"), (180.0 / np.pi, "imu.units")])
+def test_clocks_are_told_by_rates_of_the_right_sign_and_unit(
+    scanned: DatasetEntry, scale: float, code: str
+) -> None:
+    spoiled = {"sensors": {"imu": {"rateScale": scale}}, "groundTruth": {"shift": 0.1}}
+    found = warned(changed(scanned, repair=spoiled))
+    assert sorted(found) == ["clock.offset", code]
+    assert shift_of(found["clock.offset"]) == pytest.approx(-0.1, abs=0.003)
+    assert found[code].repair["repair"]["sensors"]["imu"]["rateScale"] == pytest.approx(1 / scale, rel=1e-5)
+
+
 def swaying(
     seconds: float, drift: float = 0.0, noise: float = 0.0, axes: tuple[float, ...] = (1, 1, 1)
 ) -> tuple[Turning, Turns]:
@@ -149,6 +187,18 @@ def swaying(
         (angles(begin + 0.1) - angles(begin)) / 0.1 + 0.001 * rng.standard_normal((len(begin), 3)),
     )
     return reference, own
+
+
+def test_half_a_turn_that_gravity_contradicts_is_one_of_signs(scanned: DatasetEntry) -> None:
+    reference, own = swaying(30.0, axes=(0, 0, 1))
+    fit = match(reference, replace(own, rates=-own.rates), np.eye(3))
+    upright = TurningSensor("imu", SensorType.IMU, 0.0, np.eye(3), is_upright=True)
+    others = [TurningSensor(name, name, 0.0, np.eye(3), fit) for name in (TRUTH, "Lidar")]
+    for imu, code in ((upright, "imu.sign"), (replace(upright, is_upright=False), "frames.rotation")):
+        found = judge_mountings([imu, *others], scanned.dataset.spec)
+        (finding,) = [one for one in found if one.severity != "note"]
+        assert (finding.code, finding.sensor) == (code, "imu")
+        assert finding.value == pytest.approx(180.0, abs=2.0)
 
 
 @pytest.mark.parametrize("drift", [0.0, -5e-4])

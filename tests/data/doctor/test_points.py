@@ -85,6 +85,47 @@ def test_a_clean_recording_has_none(lidar_entry: DatasetEntry) -> None:
     assert found_in(lidar_entry) == {}
 
 
+def test_a_scan_that_comes_again_under_the_next_stamp_is_left_out(spoiled: Any) -> None:
+    before: list[Any] = []
+
+    def again(k: int, message: Any) -> Any:
+        before.append(message.data)
+        return replace(message, data=before[k - 1]) if k in {41, 45} else message
+
+    entry = spoiled(again)
+    (finding,) = found_in(entry).values()
+    assert (finding.code, finding.severity, finding.count) == ("points.duplicate", "warning", 2)
+    assert finding.repair["repair"]["sensors"]["lidar"] == {"drop": [41, 45]}
+    assert "points.duplicate" not in found_in(mended(entry, finding.repair))
+
+
+def test_scans_that_stay_the_same_without_a_truth_are_a_simulator_at_rest(spoiled: Any) -> None:
+    seen: list[Any] = []
+
+    def held(k: int, message: Any) -> Any:
+        seen.append(seen[-1] if 30 <= k < 38 or k == 40 else message.data)
+        return replace(message, data=seen[k])
+
+    finding = found_in(spoiled(held, {"groundTruth": None}))["points.duplicate"]
+    assert (finding.count, finding.repair["repair"]["sensors"]["lidar"]) == (1, {"drop": [40]})
+
+
+def test_scans_without_a_return_are_told_from_scans_that_come_again(spoiled: Any) -> None:
+    def blank(k: int, message: Any) -> Any:
+        points = cloud_points(message, "").copy()
+        for axis in "xyz":
+            points[axis] = np.nan if k in {41, 42} else 0 if k == 50 else points[axis]
+        return replace(message, data=points.view(np.uint8))
+
+    entry = spoiled(blank)
+    findings = [one for one in inspect(entry).findings if one.code.startswith("points.")]
+    assert {one.code for one in findings} == {"points.no-return"}
+    blanks = findings[0]
+    assert (blanks.count, blanks.value, blanks.repair["repair"]["sensors"]["lidar"]) == (
+        3, 3, {"drop": [41, 42, 50]},
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize(
     "change",
     [

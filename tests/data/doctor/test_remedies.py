@@ -116,6 +116,15 @@ def test_of_two_that_want_the_same_nothing_is_said(lidar_entry: DatasetEntry) ->
     assert made.notes == []
 
 
+def test_messages_that_either_of_two_leaves_out_are_left_out(lidar_entry: DatasetEntry) -> None:
+    both = [found("a", drop=[12]), found("b", Severity.WARNING, drop=[3, 12, 20])]
+    made = repaired_manifest(lidar_entry.dataset, both)
+    assert lidar_of(made.text) == {"drop": [3, 12, 20]}
+    assert (made.repaired, made.notes) == (both, [])
+    assert "# a: " in made.text
+    assert "# b: " in made.text
+
+
 def test_what_no_manifest_takes_is_left_out(lidar_entry: DatasetEntry) -> None:
     fitting = found("b", noReturns=True)
     made = repaired_manifest(lidar_entry.dataset, [found("a", depthScale=1000), fitting])

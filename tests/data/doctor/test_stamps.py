@@ -25,7 +25,7 @@ def noise(seed: int, scale: float) -> Any:
 def stamped(tmp_path: Path, bag_writer: Any, bag_entry: Any) -> Any:
     """Make a dataset of an IMU of 200 Hz with other stamps than those at which it is recorded."""
 
-    def make(stamps: Any, recorded: Any = CLEAN) -> Any:
+    def make(stamps: Any, recorded: Any = CLEAN, *beside: str) -> Any:
         rng = np.random.default_rng(1)
         (tmp_path / "walk.bag").unlink(missing_ok=True)
         with bag_writer(tmp_path / "walk.bag") as bag:
@@ -35,7 +35,10 @@ def stamped(tmp_path: Path, bag_writer: Any, bag_entry: Any) -> Any:
                 bag.recorded_at = time
                 rate, force = rng.normal(0, 0.01, 3), np.array([0.0, 0.0, 9.81]) + rng.normal(0, 0.05, 3)
                 bag.imu("/imu", stamp, "imu", rate, force)
-        return bag_entry(tmp_path / "walk.bag", {"imu": ("Imu", "/imu")})
+                for name in beside:
+                    bag.imu(f"/{name}", time, name, rate, force)
+        sensors = {name: ("Imu", f"/{name}") for name in ("imu", *beside)}
+        return bag_entry(tmp_path / "walk.bag", sensors)
 
     return make
 
@@ -51,9 +54,9 @@ def repaired(entry: Any, finding: Any) -> Any:
     return type(entry)(Dataset.model_validate(values), entry.root)
 
 
-def stamps_of(entry: Any) -> Any:
+def stamps_of(entry: Any, topic: str = "/imu") -> Any:
     with open_recording(entry.dataset, entry.root) as recording:
-        return recording.scan(["/imu"])["/imu"].stamps
+        return recording.scan([topic])[topic].stamps
 
 
 def second_back_then_ahead() -> Any:
@@ -107,17 +110,40 @@ def test_messages_without_a_stamp_are_left_out(stamped: Any) -> None:
     assert found(stamped(np.zeros(COUNT, dtype=np.int64)))["stamps.zero"].repair == {}
 
 
-def test_equal_stamps_are_counted_with_the_right_rate(stamped: Any) -> None:
-    entry = stamped(np.repeat(CLEAN[::2], 2))
+@pytest.mark.parametrize(("at", "stamp"), [(0, 0), (-1, START + 3 * 10**16)], ids=["none", "of another year"])
+def test_a_stamp_of_another_time_stretches_no_recording(stamped: Any, at: int, stamp: int) -> None:
+    stamps = CLEAN.copy()
+    stamps[at] = stamp
+    report = inspect(stamped(stamps, CLEAN, "imu2"))
+    assert report.duration_seconds == pytest.approx((COUNT - 1) * PERIOD / 1e9)
+    assert [warning for warning in report.warnings if "covers" in warning] == []
+
+
+@pytest.mark.parametrize("burst", [2, 5])
+def test_equal_stamps_are_counted_with_the_right_rate(stamped: Any, burst: int) -> None:
+    entry = stamped(np.repeat(CLEAN[::burst], burst))
     report = inspect(entry)
     (finding,) = report.findings
-    assert (finding.code, finding.severity, finding.count) == ("stamps.equal", "warning", COUNT // 2)
+    count = COUNT - COUNT // burst
+    assert (finding.code, finding.severity, finding.count) == ("stamps.equal", "warning", count)
     assert report.sensors[0].rate == pytest.approx(200, rel=0.01)
-    np.testing.assert_allclose(stamps_of(repaired(entry, finding)), CLEAN, atol=PERIOD)
+    np.testing.assert_allclose(stamps_of(repaired(entry, finding)), CLEAN, atol=burst / 2 * PERIOD)
     # Bursts of ten leave no gaps between them.
     bursts = np.repeat(CLEAN[::10], 10)
     (alike,) = inspect(stamped(bursts, bursts + np.tile(np.arange(10), COUNT // 10))).findings
     assert (alike.code, alike.repair) == ("stamps.equal", {})
+
+
+def test_scans_that_were_recorded_twice_are_left_out(tmp_path: Path, bag_writer: Any, bag_entry: Any) -> None:
+    points = np.ones(5, dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
+    times = np.sort(np.concatenate((CLEAN[::20], CLEAN[::200])))
+    with bag_writer(tmp_path / "walk.bag") as bag:
+        for k, time in enumerate(times.tolist()):
+            bag.recorded_at = time + k % 7
+            bag.points("/points", time, "lidar", points)
+    entry = bag_entry(tmp_path / "walk.bag", {"lidar": ("Lidar", "/points")})
+    once = repaired(entry, found(entry)["stamps.equal"])
+    np.testing.assert_array_equal(stamps_of(once, "/points"), CLEAN[::20])
 
 
 def test_one_stamp_twice_is_a_note(stamped: Any) -> None:

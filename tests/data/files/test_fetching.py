@@ -15,6 +15,7 @@ import threading
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from serving import ENDLESS
 
 from slamhive.data.files import fetching, https
 from slamhive.data.store.datasets import materialise
@@ -123,14 +124,26 @@ def test_a_full_disk_is_no_reason_to_ask_a_mirror(
     assert [path for path, _ in site.asked] == ["/a.bin"]
 
 
+@pytest.mark.parametrize("path", ENDLESS)
 def test_a_server_that_hardly_sends_is_given_up(
-    server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, path: str
 ) -> None:
-    hours = itertools.count(0, 3600)
-    monkeypatch.setattr(fetching.time, "monotonic", lambda: next(hours))
-    monkeypatch.setattr(fetching, "STALL_BYTES", 1 << 30)
+    """In whatever part of its answers it goes on for ever."""
+    seconds = itertools.count(0, 20)
+    monkeypatch.setattr(https.time, "monotonic", lambda: next(seconds))
+    monkeypatch.setattr(https, "STALL_BYTES", 1 << 30)
+    monkeypatch.setattr(fetching, "PAUSES", ())
     with pytest.raises(SystemFault, match="MiB came in 60 s"):
-        materialise(dataset(f"{server}/endless.bag"), tmp_path / "root", tmp_path / "home")
+        materialise(dataset(f"{server}{path}"), tmp_path / "root", tmp_path / "home")
+
+
+@pytest.mark.parametrize(("name", "is_said"), [("hall.bag", True), ("hall.tgz", False)])
+def test_a_file_that_comes_packed_is_told(site: Any, tmp_path: Path, name: str, is_said: bool) -> None:
+    site.odd = 200, {"Content-Encoding": "gzip", "Content-Length": "0"}
+    said: list[str] = []
+    asked = fetching.WantedFile([f"{site.url}/{name}"], "hall")
+    fetching.fetch_file(asked, tmp_path / name, fetching.FetchProgress(notify=said.append))
+    assert any("comes packed (gzip)" in words for words in said) == is_said
 
 
 def test_a_recording_at_hand_must_be_what_its_checksum_says(tmp_path: Path) -> None:

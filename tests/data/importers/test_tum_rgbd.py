@@ -223,19 +223,16 @@ def test_depth_of_freiburg2_has_5000_units_a_metre(png: Any, imported: Any, tmp_
     assert "5208" not in imported(rgbd(png, tmp_path / "rgbd_dataset_freiburg1_desk"), "TumRgbd").notes
 
 
-def test_a_calibration_with_words_names_the_word(png: Any, imported: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "wrong"),
+    [("fx 7.5\nfy 7.6\n", r"needed and nothing else, found 'fx'"), ("7.5 7.5 3\n", "needed, found 3")],
+)
+def test_a_calibration_is_four_numbers(
+    text: str, wrong: str, png: Any, imported: Any, tmp_path: Path
+) -> None:
     folder = eth3d(png, tmp_path / "desk")
-    (folder / "calibration.txt").write_text("fx 7.5\nfy 7.6\n")
-    with pytest.raises(
-        DataError, match=r"calibration.txt: 4 numbers are needed and nothing else, found 'fx'"
-    ):
-        imported(folder, "TumRgbd")
-
-
-def test_a_calibration_of_too_few_numbers(png: Any, imported: Any, tmp_path: Path) -> None:
-    folder = eth3d(png, tmp_path / "desk")
-    (folder / "calibration.txt").write_text("7.5 7.5 3\n")
-    with pytest.raises(DataError, match=r"calibration\.txt: 4 numbers are needed, found 3"):
+    (folder / "calibration.txt").write_text(text)
+    with pytest.raises(DataError, match=rf"calibration\.txt: 4 numbers are {wrong}"):
         imported(folder, "TumRgbd")
 
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from rosbags.highlevel import AnyReader
+from variants import read
 
 from slamhive.data.making.preparation import prepare
 from slamhive.data.making.programmed import folder_by_program, prepare_by_program
@@ -77,15 +77,6 @@ def make(tmp_path: Path) -> Any:
         return variant
 
     return made
-
-
-def read(path: Path) -> dict[str, list[Any]]:
-    """Read the messages of a bag by topic."""
-    found: dict[str, list[Any]] = {}
-    with AnyReader([path]) as reader:
-        for connection, _, raw in reader.messages():
-            found.setdefault(connection.topic, []).append(reader.deserialize(raw, connection.msgtype))
-    return found
 
 
 def told(message: Any) -> tuple[int, int, str]:

@@ -494,6 +494,9 @@ HOSTILE = {
     "link to its folder": (named("s/d/x", tarfile.SYMTYPE, ".."), "in which it is itself"),
     "device": (named("s/x", tarfile.CHRTYPE), "is a device: refused"),
     "pipe": (named("s/x", tarfile.FIFOTYPE), "is a device: refused"),
+    "file as folder": (named("s/ok/x"), "member 's/ok/x' can't be put there: File exists"),
+    "folder as file": (named("s/ok", tarfile.DIRTYPE), "member 's/ok' can't be put there: File exists"),
+    "long name": (named("s/" + "x" * 256), "can't be put there: File name too long"),
 }
 
 
@@ -566,10 +569,15 @@ def test_a_link_goes_through_another_that_lies_beside_what_goes_through_it(tmp_p
     assert found == {"d/x": b"y", "d/y": b"y", "d/deep/z": b"z", "e": b"z"}
 
 
-def test_links_to_folders_count_as_what_they_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("files", "size", "links"), [(1, 20_000, 2000), (150, 1, 2)])
+def test_links_to_folders_count_as_what_they_copy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, files: int, size: int, links: int
+) -> None:
+    """A file counts as what it takes of a disk at least."""
     monkeypatch.setattr(unpacking, "FREE_BYTES", 1 << 20)
-    members = [named("s/d/a"), *(named(f"s/{k}", tarfile.SYMTYPE, "d") for k in range(2000))]
-    archive = tarred(tmp_path / "a.tgz", members, {"s/d/a": os.urandom(20_000)})
+    content = {f"s/d/{k}": os.urandom(size) for k in range(files)}
+    members = [*map(named, content), *(named(f"s/{k}", tarfile.SYMTYPE, "d") for k in range(links))]
+    archive = tarred(tmp_path / "a.tgz", members, content)
     with pytest.raises(DataError, match="times its size: refused"):
         unpack(archive, ["s"], tmp_path / "out")
 

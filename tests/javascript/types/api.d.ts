@@ -480,6 +480,8 @@ declare namespace Api {
     metric: Heading;
     by: string[];
     pooled: Record<string, number>;
+    /** Algorithms whose rows are over a setting, where not all are. */
+    whose: Record<string, string[]>;
     boards: Board[];
     /** Causal and final errors, latencies; null where no run was played to. */
     timely: (Aggregate & { words: string }) | null;

@@ -185,13 +185,20 @@ UNPULLED = {"prepare": Moment("Pending", NO_IMAGE, NO_IMAGE)}
 async def test_runs_say_why_their_preparation_does_not_begin(make_fake_lab: Callable[..., Lab]) -> None:
     lab = make_fake_lab(ends=UNPULLED)
     async with lab.operator(imagePullGraceSeconds=HOUR) as op:
-        lab.apply(run())
+        lab.apply(run(), sweep(sizes=2))
         waits = await status_of(op, Kind.MAPPING_RUN, "one", lambda found: condition_of(found, "Scheduled"))
+        blocked = await status_of(
+            *(op, Kind.SWEEP, "study"), lambda found: "2 of 2" in str(condition_of(found, "Blocked"))
+        )
         [entry] = variants_of(op)
         [pod] = op.cluster.store.of(Kind.POD, "lab")
         lab.cluster.play_from_now(lab.pool, Play())
         lab.cluster.end_pod(pod["metadata"]["name"], "lab", ended(0, described(description())))
         status = await status_of(op, Kind.MAPPING_RUN, "one", is_over)
+        await status_of(op, Kind.SWEEP, "study", lambda found: found.get("phase") == "Complete")
+    still = condition_of(blocked, "Blocked")
+    assert (still["status"], still["reason"]) == ("True", "RunsStandStill")
+    assert "its preparation does not begin" in still["message"]
     told = condition_of(waits, "Scheduled")
     assert (waits["phase"], told["status"], told["reason"]) == ("Preparing", "False", "PreparationWaits")
     assert "no such image" in told["message"]

@@ -239,10 +239,11 @@ async def test_an_evaluator_whose_image_cannot_be_had_is_told_until_another_one_
     assert condition_of(status, "Evaluated")["status"] == "True"
 
 
-async def test_a_result_is_written_though_others_write_to_the_run(fake_lab: Lab) -> None:
+@pytest.mark.parametrize("times", [2, 6], ids=["now and then", "without end"])
+async def test_a_result_is_written_though_others_write_to_the_run(fake_lab: Lab, times: int) -> None:
     fake_lab.cluster.log = measuring()
     stale = conflict("mappingruns.slamhive.io", "one", "the object has been modified")
-    left = [stale, stale]
+    left = [stale] * times
 
     def refusing(verb: str, resource: str, body: dict[str, Any]) -> Refusal | None:
         result = (body.get("status") or {}).get("results")
@@ -257,22 +258,6 @@ async def test_a_result_is_written_though_others_write_to_the_run(fake_lab: Lab)
 
 
 RUN_STATUS = "mappingruns/status.slamhive.io"
-
-
-async def test_a_run_that_never_stands_still_is_measured_in_the_end(fake_lab: Lab) -> None:
-    fake_lab.cluster.log = measuring()
-    stale = conflict("mappingruns.slamhive.io", "one", "the object has been modified")
-    left = [stale] * 6
-
-    def refusing(verb: str, resource: str, body: dict[str, Any]) -> Refusal | None:
-        result = (body.get("status") or {}).get("results")
-        return left.pop() if left and (verb, resource) == ("patch", RUN_STATUS) and result else None
-
-    fake_lab.cluster.refuse(refusing)
-    async with fake_lab.operator(**SETTINGS) as op:
-        fake_lab.apply(run(evaluate=True))
-        await status_of(op, Kind.MAPPING_RUN, "one", lambda found: found.get("results"))
-    assert not left
 
 
 async def test_a_result_that_the_server_refuses_costs_its_run_alone(fake_lab: Lab) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -31,6 +32,10 @@ def is_complete(status: dict[str, Any]) -> bool:
 
 def runs_of(lab: Lab) -> list[dict[str, Any]]:
     return [run for run in lab.cluster.of("mappingrun", "lab") if Label.SWEEP in run["metadata"]["labels"]]
+
+
+def no_deletion(verb: str, resource: str, _body: dict[str, Any]) -> Refusal | None:
+    return forbidden(RUNS, "x", "not now") if (verb, resource) == ("delete", RUNS) else None
 
 
 @pytest.fixture
@@ -70,10 +75,7 @@ async def test_nothing_is_written_of_them_but_their_objects(lab: Lab, archive: A
 async def test_what_an_operator_left_behind_is_removed_and_not_measured_again(
     lab: Lab, archive: Archive
 ) -> None:
-    def refusing(verb: str, resource: str, _body: dict[str, Any]) -> Refusal | None:
-        return forbidden(RUNS, "x", "not now") if (verb, resource) == ("delete", RUNS) else None
-
-    lab.cluster.refuse(refusing)
+    lab.cluster.refuse(no_deletion)
     async with lab.operator(archive, **SETTINGS) as op:
         lab.apply(study())
         await status_of(op, Kind.SWEEP, "study", lambda found: found.get("evaluated") == 6)
@@ -89,6 +91,33 @@ async def test_what_an_operator_left_behind_is_removed_and_not_measured_again(
     assert (status["succeeded"], status["evaluated"], status["cpuSeconds"]) == (6, 6, 48.0)
     assert [len(record.results) for record in archive.runs(sweep="study")] == [1] * 6
     assert ("create", "jobs.batch") not in lab.calls
+
+
+async def test_those_that_another_operator_removes_while_one_begins_count(
+    lab: Lab, archive: Archive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are there when it looks for what is in flight, and gone when it has read the archive."""
+    lab.cluster.refuse(no_deletion)
+    async with lab.operator(archive, **SETTINGS) as op:
+        lab.apply(study())
+        await status_of(op, Kind.SWEEP, "study", is_complete)
+    lab.cluster.refuse(lambda *_: None)
+    loop, finished = asyncio.get_running_loop(), archive.finished
+
+    def removing(uid: str) -> dict[str, Any]:
+        for run in runs_of(lab):
+            if ARCHIVE_ONLY in annotations_of(run):
+                lab.delete("mappingrun", run["metadata"]["name"])
+        seen = until(lambda: len(op.cluster.store.of(Kind.MAPPING_RUN, "lab")) == 2, "it to hear of that")
+        asyncio.run_coroutine_threadsafe(seen, loop).result()
+        return finished(uid)
+
+    monkeypatch.setattr(archive, "finished", removing)
+    lab.patch("sweep", "study", {"spec": {"maxFailures": 3}})  # so that it writes what it counts
+    async with lab.operator(archive, **SETTINGS) as op:
+        status = await status_of(op, Kind.SWEEP, "study", lambda found: found["observedGeneration"] == 2)
+    assert (status["succeeded"], status["evaluated"], status["cpuSeconds"]) == (6, 6, 48.0)
+    assert "deleted" not in status
 
 
 async def test_an_operator_that_ends_before_the_archive_has_them_loses_none(

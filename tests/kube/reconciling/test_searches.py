@@ -149,7 +149,7 @@ async def test_a_search_tries_what_is_proposed_and_gives_good_settings_their_fur
     assert status["progress"] == "4/4 trials"
     complete = sum(places == [0, 1] for places in runs.values())
     assert condition_of(status, "Complete")["message"] == (
-        f"4 settings were tried, {complete} of them with all runs"
+        f"4 settings tried, {complete} of them with all runs"
     )
 
 

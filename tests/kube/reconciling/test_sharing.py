@@ -129,6 +129,12 @@ async def test_an_edit_of_the_weight_takes_effect(make_fake_lab: Callable[..., L
         await until(
             lambda: (in_flight(op, "lab", "first"), in_flight(op, "lab", "second")) == (3, 1), "these shares"
         )
+        # What a Sweep has before it is not foreseen while it is suspended, though its runs are in flight.
+        lab.patch("sweep", "first", {"spec": {"suspend": True}})
+        await until(
+            lambda: status_in(op, "lab", "first")["share"]["forecast"] == "none: nothing starts now",
+            "it to say so",
+        )
 
 
 @pytest.mark.parametrize("waiting", [1, 3])
@@ -162,19 +168,29 @@ async def test_a_full_cluster_is_felt_and_few_pods_wait(
         )
 
 
-async def test_pods_that_fit_nowhere_keep_no_other_sweep_waiting(make_fake_lab: Callable[..., Lab]) -> None:
+@pytest.mark.parametrize("priority", [{}, {"priorityClassName": "urgent"}])
+async def test_pods_that_fit_nowhere_keep_no_other_sweep_waiting(
+    priority: dict[str, Any], make_fake_lab: Callable[..., Lab]
+) -> None:
     lab = make_fake_lab()
-    async with lab.operator() as op:
+    lab.cluster.apply(priority_class("urgent", 1000))
+    async with lab.operator(sharing={"readPriorityClasses": True}) as op:
         lab.apply(sweep(sizes=1))  # the recording is prepared
         await until(lambda: status_in(op, "lab").get("phase") == "Complete", "the first to be done")
         lab.cluster.patch("node", "played-0", {"status": {"allocatable": {"pods": "0"}}}, "", "status")
-        lab.apply(sweep("stuck", sizes=90, parallelism=4, cachePolicy="Rerun"))
+        lab.apply(sweep("stuck", sizes=90, parallelism=4, cachePolicy="Rerun", **priority))
         await until(lambda: len(pods_of(op, "lab", "stuck")) == 4, "its pods")
+        await until(
+            lambda: ": 4 of its runs" in status_in(op, "lab", "stuck").get("share", {}).get("limit", ""),
+            "it to know that they wait",
+        )
         for pod in pods_of(op, "lab", "stuck"):
             name = pod["metadata"]["name"]
             lab.cluster.patch("pod", name, {"spec": {"nodeSelector": {"there": "is none"}}}, "lab")
         lab.cluster.patch("node", "played-0", {"status": {"allocatable": {"pods": "90"}}}, "", "status")
-        lab.apply(sweep("other", sizes=60, parallelism=30))
+        # The scheduler tries pods again after some seconds: that newer ones pass them over counts later.
+        op.cluster.clock = _later(op, 60)
+        lab.apply(sweep("other", sizes=5, parallelism=30))
         await until(lambda: status_in(op, "lab", "other").get("phase") == "Complete", "the other to be done")
         assert in_flight(op, "lab", "stuck") == 4
 
@@ -192,6 +208,7 @@ async def test_a_quota_of_nothing_is_waited_for_by_its_name(make_fake_lab: Calla
         assert told["reason"] == "QuotaExceeded"
         assert "quota none (pods: 0 of 0 used)" in told["message"]
         assert in_flight(op, "lab") == 0
+        assert "limit" not in status["share"]  # the condition says it
         lab.delete("resourcequota", "none")
         lab.patch("sweep", "study", {"metadata": {"labels": {"look": "again"}}})
         op.cluster.clock = _later(op, 60)
@@ -306,6 +323,145 @@ async def test_an_operator_that_starts_keeps_to_what_others_hold(make_fake_lab: 
         )
         assert in_flight(op, "lab", "first") == 3
     assert lab.calls.count(("create", "mappingruns.slamhive.io")) == 6
+
+
+def priority_class(name: str, value: int, **more: Any) -> dict[str, Any]:
+    meta = {"metadata": {"name": name}, "value": value}
+    return {"apiVersion": "scheduling.k8s.io/v1", "kind": "PriorityClass"} | meta | more
+
+
+def classes_of(op: Operator, namespace: str) -> list[str]:
+    runs = op.cluster.store.select(Kind.MAPPING_RUN, namespace, Label.SWEEP, "study")
+    flying = [run for run in runs if run["status"].get("phase") not in {"Succeeded", "Failed", "Cancelled"}]
+    return sorted(run["spec"].get("priorityClassName", "") for run in flying)
+
+
+async def test_sweeps_of_a_higher_priority_class_come_first(make_fake_lab: Callable[..., Lab]) -> None:
+    lab = shared(make_fake_lab, hold=True)
+    lab.cluster.apply(priority_class("urgent", 1000), priority_class("usual", 10, globalDefault=True))
+    sharing = {"slots": 6, "readPriorityClasses": True}
+    async with lab.operator(namespaces=BOTH, sharing=sharing) as op:
+        lab.apply(sweep(sizes=40, parallelism=20, weight=1000))
+        await until(lambda: in_flight(op, "lab") == 6, "the first to have all")
+        lab.cluster.apply(
+            sweep(sizes=4, parallelism=20, priorityClassName="urgent", cachePolicy="Rerun"),
+            namespace="other",
+        )
+        await until(lambda: status_in(op, "other").get("share", {}).get("place") == 1, "it to be in the line")
+        await end_some(lab, op, "lab", count=4)
+        # All of the urgent ones, whatever the weights.
+        await until(lambda: (in_flight(op, "lab"), in_flight(op, "other")) == (2, 4), "it to have these")
+        await until(lambda: classes_of(op, "other") == ["urgent"] * 4, "their class")
+        share = await until(
+            lambda: (told := status_in(op, "lab")["share"]).get("fair") == 2 and told, "the first to say so"
+        )
+        assert share["priority"] == "10 (PriorityClass usual, the cluster's default)"
+        assert share["limit"].endswith("1 of them come first by a PriorityClass of a higher value")
+        assert share["sooner"].startswith("a PriorityClass of a higher value, ")
+        assert "spec.weight" not in share["sooner"]
+        assert status_in(op, "other")["share"]["priority"] == "1,000 (PriorityClass urgent)"
+        # The class may be another one while it runs: its runs from then on have it.
+        lab.patch("sweep", "study", {"spec": {"priorityClassName": "urgent"}})
+        key = Key(Kind.SWEEP, "lab", "study")
+        await until(
+            lambda: "priorityClassName" in (op.cluster.store.get(key) or {"spec": ()})["spec"],
+            "the operator to hear of it",
+        )
+        await end_some(lab, op, "lab", count=1)
+        await until(lambda: classes_of(op, "lab") == ["", "urgent"], "its next one to have it")
+
+
+async def test_without_the_right_to_read_classes_weights_alone_decide(
+    make_fake_lab: Callable[..., Lab],
+) -> None:
+    lab = make_fake_lab(hold=True)
+    lab.cluster.apply(priority_class("urgent", 1000))
+    async with lab.operator(sharing={"slots": 4}) as op:
+        lab.apply(sweep("first", sizes=40, parallelism=20, weight=3))
+        await until(lambda: in_flight(op, "lab", "first") == 4, "the first to have all")
+        lab.apply(sweep("second", sizes=40, parallelism=20, priorityClassName="urgent", cachePolicy="Rerun"))
+        share = await until(
+            lambda: (told := status_in(op, "lab", "second").get("share", {})).get("fair") and told, "a share"
+        )
+        assert share["fair"] == 1
+        assert share["priority"] == (
+            "PriorityClass urgent: not known, so weights alone decide: the operator may not read "
+            "PriorityClasses (sharing.readPriorityClasses of the chart)"
+        )
+
+
+@pytest.mark.parametrize("reads", [True, False])
+async def test_a_priority_class_that_is_not_there_is_waited_for(
+    reads: bool, make_fake_lab: Callable[..., Lab]
+) -> None:
+    lab = make_fake_lab()
+    lab.cluster.apply(priority_class("low", 1))
+    # Nobody's runs are given up, however long it takes.
+    settings: dict[str, Any] = {
+        "sharing": {"slots": 2, "readPriorityClasses": reads},
+        "refusalGraceSeconds": 0,
+    }
+    async with lab.operator(**settings) as op:
+        lab.apply(sweep(sizes=6, parallelism=4, priorityClassName="urgent"))
+        op.cluster.clock = _later(op, 30)
+        status = await until(
+            lambda: condition_of(found := status_in(op, "lab"), "Blocked").get("status") == "True" and found,
+            "it to say so",
+            60,
+        )
+        told = condition_of(status, "Blocked")
+        # Where classes can't be read, one run finds out.
+        assert in_flight(op, "lab") == (0 if reads else 1)
+        assert told["reason"] == ("PriorityClassNotFound" if reads else "RunsStandStill")
+        seen, refused = "there is no PriorityClass 'urgent'", "no PriorityClass with name urgent was found"
+        assert (seen if reads else refused) in told["message"]
+        # Its run without a pod holds no slot that others could have.
+        lab.apply(sweep("other", sizes=3, parallelism=2, cachePolicy="Rerun"))
+        await until(lambda: status_in(op, "lab", "other").get("phase") == "Complete", "the other to be done")
+        lab.cluster.apply(priority_class("urgent", 1000))
+        lab.patch("sweep", "study", {"metadata": {"labels": {"look": "again"}}})
+        op.cluster.clock = _later(op, 60)
+        await until(lambda: status_in(op, "lab").get("phase") == "Complete", "it to go on")
+        assert status_in(op, "lab")["succeeded"] == 6
+        runs = op.cluster.store.select(Kind.MAPPING_RUN, "lab", Label.SWEEP, "study")
+        assert {run["spec"]["priorityClassName"] for run in runs} == {"urgent"}
+
+
+async def test_a_class_that_is_there_holds_nothing_back(make_fake_lab: Callable[..., Lab]) -> None:
+    lab = make_fake_lab(hold=True)
+    lab.cluster.apply(priority_class("urgent", 1000))
+    async with lab.operator() as op:  # which may not read classes
+        lab.apply(sweep(sizes=6, parallelism=4, priorityClassName="urgent"))
+        await until(lambda: in_flight(op, "lab") == 4, "all to start that may", 30)
+
+
+async def test_a_class_that_was_misspelt_may_be_mended(make_fake_lab: Callable[..., Lab]) -> None:
+    lab = make_fake_lab()
+    lab.cluster.apply(priority_class("urgent", 1000))
+    async with lab.operator() as op:
+        lab.apply(sweep(sizes=6, parallelism=4, priorityClassName="urgnt"))
+        op.cluster.clock = _later(op, 30)
+        await until(
+            lambda: condition_of(status_in(op, "lab"), "Blocked").get("status") == "True", "it to say so"
+        )
+        lab.patch("sweep", "study", {"spec": {"priorityClassName": "urgent"}})
+        # Its run that found out about the class waits for it no longer.
+        await until(lambda: status_in(op, "lab").get("phase") == "Complete", "all to be done")
+    status = status_in(op, "lab")
+    assert (status["succeeded"], status.get("deleted")) == (6, None)
+    [event] = [one for one in lab.cluster.of("event", "lab") if one["reason"] == "RunsMadeAnew"]  # type: ignore[union-attr]
+    told = "made anew with PriorityClass urgent: 1 run that had no pod for want of urgnt"
+    assert event["message"] == told
+
+
+async def test_a_sweep_that_a_new_operator_refuses_keeps_no_slots(make_fake_lab: Callable[..., Lab]) -> None:
+    lab = make_fake_lab(hold=True)
+    lab.apply(sweep("first", sizes=9, template={"algorithmRef": {"name": "gone"}}))
+    # As an operator left it that saw runs at work, before they and their Algorithm went.
+    lab.patch("sweep", "first", {"status": {"running": 3, "pending": 6}}, subresource="status")
+    async with lab.operator(sharing={"slots": 3}) as op:
+        lab.apply(sweep("second", sizes=9, parallelism=9))
+        await until(lambda: in_flight(op, "lab", "second") == 3, "the other one to have all")
 
 
 async def test_two_sweeps_of_80000_write_for_their_slots_alone(make_fake_lab: Callable[..., Lab]) -> None:

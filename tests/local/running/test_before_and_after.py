@@ -67,3 +67,11 @@ def test_each_comparison_tells_what_changed_since_the_last_one(
     headings, _, remarks = told()
     assert headings == []
     assert remarks.startswith("actor, tiny were edited together: no run tells what each edit did")
+    # Where runs before tell what one of the edits did, that one is compared, and the other is named.
+    adapter.write_text(f"{good}\n")
+    told()
+    adapter.write_text(good)
+    edit_recording(workshop, home, seed=9)
+    headings, _, remarks = told()
+    assert headings == ["tiny the dataset tiny changed"]
+    assert "actor was edited together with tiny: no run tells what that edit did" in remarks

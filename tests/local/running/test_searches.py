@@ -81,7 +81,7 @@ def test_a_search_tries_its_settings_and_promotes_the_good_ones(
     job, notes = run_sweep(search_of())
     numbers = tried(bench.archive, job.sweep)
     assert (job.verdict, len(set(numbers)), len(job.points)) == (Verdict.COMPLETE, 6, 12)
-    assert job.message.startswith("6 settings were tried")
+    assert job.message.startswith("6 settings tried")
     good = [number for number in numbers if number <= 20]
     [best] = job.search.best
     assert numbers[best.number] == min(good, key=score)

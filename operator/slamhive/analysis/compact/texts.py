@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
+from slamhive.analysis.compact.growing import joined
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -104,7 +106,7 @@ def fit_together(parts: Sequence[PackedTexts]) -> bool:
 
 def merged(parts: Sequence[PackedTexts]) -> tuple[PackedTexts, npt.NDArray[np.int32]]:
     """Return the different texts of several, in the order of being met first, and the place of each, (n,)."""
-    data = np.concatenate([one.data for one in parts])
+    data = joined([one.data for one in parts])
     numbers = numbers_of_texts(data)
     ordered = np.sort(numbers)
     if not (ordered[1:] == ordered[:-1]).any():

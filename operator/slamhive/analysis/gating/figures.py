@@ -8,15 +8,16 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from slamhive.analysis.grouping import LOAD
-from slamhive.analysis.measures import Better, measure_of
+from slamhive.analysis.measures import Better, figures, measure_of
 from slamhive.model.errors import InputError
+from slamhive_eval.errors import did_you_mean
 
 FAILURES = "failures"
 """Name of the figure of runs that failed or weren't tracked."""
 
 COVERAGE = "coverage"
 LATENCY = "metrics.latencySeconds.median"
-TIME = "usage.wallSeconds"
+TIME = "usage.undisturbedSeconds"
 MEMORY = "usage.memory.peakBytes"
 
 
@@ -117,9 +118,11 @@ def parse_figure(text: str, option: str) -> tuple[str, float | None]:
     name, has_margin, margin = (part.strip() for part in text.partition("="))
     name = _WORDS.get(name, name)
     if name != FAILURES and measure_of(name).better is Better.NONE:
-        known = ", ".join([*_WORDS, COVERAGE, FAILURES])
+        short = [*_WORDS, COVERAGE, FAILURES]
+        close = did_you_mean(name, [*short, *figures(1)])
         raise InputError(
-            f"{option} {text}: nobody has said which way {name!r} is good; short names are {known}"
+            f"{option} {text}: nobody has said which way {name!r} is good{close}; short names are "
+            f"{', '.join(short)}"
         )
     if not has_margin:
         return name, None

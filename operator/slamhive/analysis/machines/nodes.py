@@ -24,7 +24,7 @@ from slamhive.analysis.grouping import CONDITIONS, FACETS, PROCESSOR, Groups, va
 from slamhive.analysis.measures import measure_of
 from slamhive.analysis.selection import first_rows
 from slamhive.analysis.statistics import LEVEL, bounds
-from slamhive.model.base import Choice
+from slamhive.model.base import Choice, plural
 from slamhive.model.results import Phase
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ def compare_nodes(frame: Frame) -> NodeComparison:
     if not measured.any():
         return NodeComparison([], ["of no run both node and CPU time are known"])
     if unknown := int((frame.column(LOAD).present & ~frame.column(NODE).present).sum()):
-        notes.append(f"of {unknown:,} runs nobody noted the node: they are left out")
+        notes.append(f"left out: {plural(unknown, 'run')} of which nobody noted the node")
     frame = frame.select(measured)
     codes, names = frame.column(NODE).factorized()
     if len(names) == 1:

@@ -2,7 +2,8 @@
 """Robustness card: how much of each disturbance each system bears, from the table of runs.
 
 Runs of searches for thresholds and of grids count alike: at each value of an axis it is counted how many
-failed, and the threshold is estimated from the counts. Figure, table and page show this one card.
+failed, and the threshold is estimated from the counts. Where searches of an axis have several rules by which
+runs failed, each rule has rows of its own. Figure, table and page show this one card.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ from slamhive.analysis.expressions import parse_where
 from slamhive.analysis.grouping import FAILED_OF_ITSELF, SUBJECT, Groups, apart, varies, varying, where_equal
 from slamhive.analysis.measures import CONFIGURATION
 from slamhive.analysis.searches.thresholds import Threshold, estimate, noticed
-from slamhive.analysis.selection import first_rows
+from slamhive.analysis.selection import finished, first_rows, once
 from slamhive.engine import ValueTally
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError
 from slamhive.model.results import Outcome, Phase
 from slamhive.model.search import Failing, Search, SearchMethod
@@ -57,6 +59,22 @@ class RobustnessWish:
         search = self.searches.get(sweep or "")
         return search.failing if search is not None else Failing()
 
+    def rule_name(self, sweep: str | None) -> str:
+        """Return the name of the rule for a Sweep's runs; empty where all have one."""
+        rule = self.rule(sweep)
+        if rule.metric is not None:
+            name = (
+                f"{rule.metric} > {rule.above:g}"
+                if rule.above is not None
+                else f"{rule.metric} < {rule.below:g}"
+            )
+        else:
+            name = " or ".join(map(str, rule.outcome)) if rule.outcome else f"not {Outcome.TRACKED}"
+        share = (
+            "" if self.quantile is not None or rule.quantile == 0.5 else f" in {rule.quantile:.0%} of runs"
+        )
+        return share.strip() if self.failing is not None else f"{name}{share}"
+
 
 @dataclass(frozen=True)
 class RobustnessCard:
@@ -67,7 +85,7 @@ class RobustnessCard:
         rows: what each row is of, by column.
         cells: the threshold of each row on each axis; None where nothing was run.
         runs: number of runs behind it.
-        notes: what it is of, in sentences.
+        notes: what it is of, in sentences; the last one is on how it is drawn.
     """
 
     axes: tuple[str, ...]
@@ -98,42 +116,60 @@ def robustness(frame: Frame, wish: RobustnessWish) -> RobustnessCard:
     Raises:
         InputError: no axis was varied, several were and none was named, or a name is wrong.
     """
-    frame = frame.select(first_rows(frame))
+    frame, waiting = finished(frame.select(first_rows(frame)))
     axes = _axes(frame, wish)
+    names = np.array([wish.rule_name(sweep) for sweep in frame.column(_SWEEP).tolist()], dtype=object)
+    frame, names = _once_each(frame, names)
     failed, known = _judged(frame, wish)
     rows: dict[str, Mapping[str, Any]] = {}
     found: dict[tuple[str, str], Threshold] = {}
-    runs = 0
-    for axis in axes:
+    counted = np.zeros(len(frame), dtype=bool)
+    meant = [np.isfinite(frame.column(axis).floats()) & _apart_from(frame, axis, axes, wish) for axis in axes]
+    several = any(len(set(names[inside])) > 1 for inside in meant)
+    for axis, of_axis in zip(axes, meant, strict=True):
         numbers = frame.column(axis).floats()
-        inside = np.isfinite(numbers) & _apart_from(frame, axis, axes, wish)
-        part = frame.select(inside)
-        runs += len(part)
-        sweeps = set(part.column(_SWEEP).tolist())
-        searches = [search for uid, search in wish.searches.items() if uid in sweeps]
-        for key, members in _series(part, axis, searches):
-            own = np.flatnonzero(inside)[members]
-            quantile = wish.quantile or wish.rule(_first(part, _SWEEP, members)).quantile
-            counts = [
-                ValueTally(float(value), int(failed[at].sum()), int(known[at].sum()))
-                for value in np.unique(numbers[own])
-                for at in [own[numbers[own] == value]]
-            ]
-            identity = repr(key)
-            rows.setdefault(identity, key)
-            found[identity, axis] = _with_figure(
-                frame.select(own), axis, wish, estimate(axis, key, counts, quantile)
-            )
+        counted |= of_axis
+        for name in sorted(set(names[of_axis])):
+            inside = of_axis & (names == name)
+            part = frame.select(inside)
+            sweeps = set(part.column(_SWEEP).tolist())
+            searches = [search for uid, search in wish.searches.items() if uid in sweeps]
+            for subject, members in _series(part, axis, searches):
+                key = subject | ({"failing": name} if several else {})
+                own = np.flatnonzero(inside)[members]
+                quantile = wish.quantile or wish.rule(_first(part, _SWEEP, members)).quantile
+                counts = [
+                    ValueTally(float(value), int(failed[at].sum()), int(known[at].sum()))
+                    for value in np.unique(numbers[own])
+                    for at in [own[numbers[own] == value]]
+                ]
+                identity = repr(key)
+                rows.setdefault(identity, key)
+                found[identity, axis] = _with_figure(
+                    frame.select(own), axis, wish, estimate(axis, key, counts, quantile)
+                )
     order = sorted(rows, key=lambda one: [str(value) for value in rows[one].values()])
     told = {name for key in rows.values() for name in key}
+    runs = int(once(frame.select(counted)).sum())
     common = {name for name in told - {"algorithm"} if len({repr(rows[o].get(name)) for o in rows}) == 1}
     return RobustnessCard(
         axes,
         tuple({name: value for name, value in rows[one].items() if name not in common} for one in order),
         tuple(tuple(found.get((one, axis)) for axis in axes) for one in order),
         runs,
-        tuple(_notes(frame, wish, runs, {name: rows[order[0]].get(name) for name in sorted(common)})),
+        tuple(
+            _notes(frame, wish, runs, waiting, {name: rows[order[0]].get(name) for name in sorted(common)})
+        ),
     )
+
+
+def _once_each(frame: Frame, names: Any) -> tuple[Frame, Any]:
+    """Return the rows without those of equal content, once for each rule, and the rules of what is left."""
+    kept = np.zeros(len(frame), dtype=bool)
+    for name in set(names):
+        own = np.flatnonzero(names == name)
+        kept[own[once(frame.select(own))]] = True
+    return frame.select(kept), names[kept]
 
 
 def _axes(frame: Frame, wish: RobustnessWish) -> tuple[str, ...]:
@@ -255,15 +291,18 @@ def _first(frame: Frame, name: str, members: Any) -> str | None:
     return None if value is None else str(value)
 
 
-def _notes(frame: Frame, wish: RobustnessWish, runs: int, common: Mapping[str, Any]) -> list[str]:
+def _notes(
+    frame: Frame, wish: RobustnessWish, runs: int, waiting: Sequence[str], common: Mapping[str, Any]
+) -> list[str]:
     where = ", ".join(f"{value}" for value in common.values() if value is not None)
-    notes = [f"n = {runs:,} runs{f' on {where}' if where else ''}"]
+    notes = [f"n = {plural(runs, 'run')}{f' on {where}' if where else ''}"]
     if wish.failing is not None:
         rule = f"which meet {wish.failing}"
     else:
         sweeps = {None if one is None else str(one) for one in frame.column(_SWEEP).tolist()}
         rule = "; or ".join(sorted({_rule_text(wish.rule(sweep)) for sweep in sweeps}))
     notes.append(f"failed are runs {rule}, and those whose program failed")
+    notes += waiting
     notes.append(
         "bars end at the last value that passes, whiskers span where the threshold lies in 95 of 100 cases; "
         "counts are runs that failed of those known, at the last value that passes and the first that fails"

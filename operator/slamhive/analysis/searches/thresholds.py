@@ -115,7 +115,8 @@ class Threshold:
                 return "nothing is known of its runs" if not self.runs else "too few values are known"
         order = "from … down" if self.falls else "up to …"
         words = order.replace("…", f"{self.passing:g}")
-        ends = " to ".join("?" if end is None else f"{end:g}" for end in self.sure)
+        ends = " to ".join("unknown" if end is None else f"{end:g}" for end in self.sure)
+        ends = "not known from so few runs" if self.sure == (None, None) else ends
         return (
             f"passes {words} ({self.counted(self.passing)} failed), fails at {self.failing:g} "
             f"({self.counted(self.failing)}); 95 %: {ends}"

@@ -5,7 +5,7 @@
 
     study.zip
         ro-crate-metadata.json      what everything is, for machines: RO-Crate 1.1, Process Run Crate 0.5
-        README.md                   the same in words
+        README.md                   the same in words, and the checksum of study.json
         study.json                  `BundledStudy`: checksums of all files, datasets, how runs are measured
         manifests/sweep.yaml        what was asked for
         manifests/algorithms/NAME-DIGITS.yaml, manifests/datasets/NAME-DIGITS.yaml
@@ -20,6 +20,7 @@ Of recordings and ground truth there are checksums and names alone.
 from __future__ import annotations
 
 import hashlib
+import json
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -36,10 +37,14 @@ from slamhive_eval import Relations
 from slamhive_eval.formats.healthfiles import COVARIANCES, HEALTH
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from slamhive_eval import ControlPoints, Trajectory
 
 FORM = "slamhive-study/1"
 STUDY, METADATA, README = "study.json", "ro-crate-metadata.json", "README.md"
+STATED = "Checksum of study.json without that of this file: sha256:"
+"""Beginning of the last line of README.md."""
 RUN = "run.json"
 SWEEP = "manifests/sweep.yaml"
 TRAJECTORY = FILE
@@ -146,6 +151,12 @@ class BundledRun(Model):
     algorithm: str
     dataset: str
     subject: SubjectItem | None = None
+
+
+def study_sha256(told: Mapping[str, Any]) -> str:
+    """Return the checksum of a study's JSON that README.md states, so without the one that it has of that."""
+    files = {name: sha256 for name, sha256 in told["files"].items() if name != README}
+    return hashlib.sha256(json.dumps({**told, "files": files}, sort_keys=True).encode()).hexdigest()
 
 
 def truth_sha256(poses: Trajectory | Relations | ControlPoints) -> str:

@@ -28,6 +28,7 @@ from slamhive.bridges.bundles.contents import (
     StudyAlgorithm,
     StudyDataset,
     StudyEnvironment,
+    study_sha256,
     truth_sha256,
 )
 from slamhive.bridges.bundles.crate import make_crate
@@ -39,11 +40,13 @@ from slamhive.local.home.changes import current_uid
 from slamhive.local.home.sweeping import sweeps_meant
 from slamhive.local.running.evaluating import TrajectoryEvaluator
 from slamhive.model.catalogue import find_sequence
+from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError, SlamHiveError
 from slamhive.model.evaluation import EvaluationSettings
 from slamhive.model.extras import library
 from slamhive.model.results import IMPORTED, Phase
 from slamhive.tables.manifests import manifest, without_nothing
+from slamhive.tables.searches import most_runs, sweep_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -117,6 +120,10 @@ def bundle(
             step(number, len(records))
             made.take(record)
         made.write(output, records)
+    asked = most_runs(sweep)
+    if asked is not None and len(records) < asked and not sweep_of(sweep).spec.search.is_search:
+        left = f"the other {asked - len(records)} of the {asked} that were asked for"
+        made.report.notes.append(f"sweep {sweep.name!r}: {left} have not finished and are not in it")
     made.report.size = output.stat().st_size
     return made.report
 
@@ -199,13 +206,15 @@ class _BundleMaking:
         labels = {} if self._order.anonymous else self._sweep.labels
         self._write_text(contents.SWEEP, manifest("Sweep", self._sweep.name, labels, spec))
         study = self._study(spec)
-        self._write_text(contents.README, _readme(study, len(self._runs)))
-        # The crate names study.json, which has the checksum of the crate: its content is not part of that.
-        place = self._folder / contents.STUDY
-        crate = make_crate(study, self._runs, {**self._files, contents.STUDY: place})
+        # The crate names both, which have its checksum and each other's: their content is not part of it.
+        places = {name: self._folder / name for name in (contents.STUDY, contents.README)}
+        crate = make_crate(study, self._runs, {**self._files, **places})
         self._write_bytes(contents.METADATA, b"".join(chunk for _, chunk in crate.metadata.stream()))
-        sums = {name: file_sha256(path) for name, path in sorted(self._files.items())}
-        self._write_json(contents.STUDY, study.replace(files=sums).as_json())
+        sums = {name: file_sha256(path) for name, path in self._files.items()}
+        told = study.replace(files=sums).as_json()
+        self._write_text(contents.README, _readme(study, len(self._runs), study_sha256(told)))
+        told["files"][contents.README] = file_sha256(places[contents.README])
+        self._write_json(contents.STUDY, told)
         if self._order.anonymous:
             nodes = {record.provenance.node for record in records}
             require_silence(self._files, words_that_tell(self._bench.home.path, nodes))
@@ -300,17 +309,18 @@ class _BundleMaking:
                 name=entry.name, manifest=path, license=license_, homepage=homepage
             )
             return
+        if entry.name not in self._bench.workshop.datasets:
+            # It stood beside the sweep in its file. What is generated or fetched follows from the manifest.
+            made = Dataset.model_validate({"metadata": {"name": entry.name}, "spec": entry.spec})
+            if not made.spec.recording.files:
+                self._bench.workshop.add([made], self._bench.home.path)
         citation = None
         if entry.spec.get("catalogue"):
             with suppress(SlamHiveError):
                 head = find_sequence(entry.spec["catalogue"]).family
                 license_, citation = license_ or head.license, head.cite
         self._datasets[path] = StudyDataset(
-            name=entry.name,
-            manifest=path,
-            truth=self._truth(entry.name),
-            license=license_,
-            citation=citation,
+            name=entry.name, manifest=path, truth=self._truth(entry.name), license=license_, citation=citation
         )
 
     def _take_environment(self, record: RunRecord) -> None:
@@ -380,8 +390,8 @@ slamhive import study.zip                # into one's own archive, marked as som
 """
 
 
-def _readme(study: BundledStudy, runs: int) -> str:
-    """Return the description of a bundle in words, with licences and citations."""
+def _readme(study: BundledStudy, runs: int, sha256: str) -> str:
+    """Return the description of a bundle in words, with licences, citations and the study's checksum."""
     head = _README.format(
         title=study.title,
         runs=runs,
@@ -392,6 +402,5 @@ def _readme(study: BundledStudy, runs: int) -> str:
     )
     cells = [(f"algorithm {one.name}", one.license, one.homepage) for one in study.algorithms]
     cells += [(f"dataset {one.name}", one.license, one.citation) for one in study.datasets]
-    return head + "".join(
-        f"| {what} | {terms or 'not stated'} | {cite or ''} |\n" for what, terms, cite in cells
-    )
+    table = "".join(f"| {what} | {terms or 'not stated'} | {cite or ''} |\n" for what, terms, cite in cells)
+    return f"{head}{table}\n{contents.STATED}{sha256}\n"

@@ -15,7 +15,17 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from slamhive.archive.records import require_parts
-from slamhive.bridges.bundles.contents import FORM, METADATA, RUN, STUDY, BundledRun, BundledStudy
+from slamhive.bridges.bundles.contents import (
+    FORM,
+    METADATA,
+    README,
+    RUN,
+    STATED,
+    STUDY,
+    BundledRun,
+    BundledStudy,
+    study_sha256,
+)
 from slamhive.bridges.bundles.zipfiles import BundleFile
 from slamhive.contract.lines import printable
 from slamhive.model.base import explain
@@ -79,7 +89,8 @@ def opened_bundle(path: Path, *, later: Collection[str] = ()) -> Iterator[Opened
         DataError: it is no bundle, damaged, changed, or larger than an archive of data gets.
     """
     if not path.is_file():
-        raise DataError(f"{path}: no such file")
+        problem = "a folder; a bundle is one .zip file" if path.is_dir() else "no such file"
+        raise DataError(f"{path}: {problem}")
     with BundleFile(path) as file:
         yield _opened(file, later)
 
@@ -118,6 +129,12 @@ def _opened(file: BundleFile, later: Collection[str]) -> OpenedBundle:
     names = [name for name in study.files if name.rpartition("/")[2] not in later]
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
         require_unchanged(title, study, dict(zip(names, pool.map(file.copy, names), strict=True)))
+    # Bundles of before state none.
+    last = _text(file, README).rstrip().rpartition("\n")[2] if README in study.files else ""
+    if last.startswith(STATED) and last != STATED + study_sha256(told):
+        raise DataError(
+            f"{title}: {STUDY}: not what {README} has the checksum of: changed after the bundle was made"
+        )
     runs = {}
     for name in sorted(study.files):
         parts = name.split("/")

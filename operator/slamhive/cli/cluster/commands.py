@@ -25,8 +25,7 @@ Files = Annotated[
     typer.Argument(metavar="FILE…", help="Manifests: sweeps, runs, datasets …; - reads standard input."),
 ]
 Namespace = Annotated[
-    str | None,
-    typer.Option("-n", "--namespace", metavar="NAME", help="Namespace; default: the context's."),
+    str | None, typer.Option("-n", "--namespace", metavar="NAME", help="Namespace; default: the context's.")
 ]
 Context = Annotated[
     str | None,
@@ -90,8 +89,7 @@ def submit(
 
 def status(
     names: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="[NAME…]", help="Sweeps, runs or evaluations; default: all."),
+        list[str] | None, typer.Argument(metavar="[NAME…]", help="Sweeps, runs or evaluations; default: all.")
     ] = None,
     *,
     namespace: Namespace = None,
@@ -144,8 +142,7 @@ def cancel(
     namespace: Namespace = None,
     context: Context = None,
     delete: Annotated[
-        bool,
-        typer.Option("--delete", help="Delete the objects too, with results that nobody has fetched."),
+        bool, typer.Option("--delete", help="Delete the objects too, with results that nobody has fetched.")
     ] = False,
 ) -> None:
     """End runs on a cluster. A sweep is suspended and its runs in flight are cancelled.
@@ -165,8 +162,7 @@ def fetch(
     namespace: Namespace = None,
     context: Context = None,
     files: Annotated[
-        bool,
-        typer.Option("--files", help="Fetch the runs' files too: trajectories, maps, usage, logs."),
+        bool, typer.Option("--files", help="Fetch the runs' files too: trajectories, maps, usage, logs.")
     ] = False,
 ) -> None:
     """Copy finished runs of a cluster into the archive here, for slamhive results.

@@ -118,7 +118,7 @@ async def _fetch_files(
     for sentence in filed.remarks[:_SHOWN]:
         remark(sentence)
     if len(filed.remarks) > _SHOWN:
-        remark(f"and {len(filed.remarks) - _SHOWN} more files are left out")
+        remark(f"left out, too: {plural(len(filed.remarks) - _SHOWN, 'more file')}")
     done = f"files of {plural(filed.runs, 'run')}, {bytes_text(filed.size)}, in {runs}"
     out.print(
         done if filed.runs or filed.problems else f"all files are in {runs}", markup=False, soft_wrap=True

@@ -171,7 +171,8 @@ async def _wait(cluster: ConnectedCluster, items: Sequence[_AwaitedObject]) -> N
     )
     loop = asyncio.get_running_loop()
     begun, warned = loop.time(), False
-    with Progress(*columns, console=err, refresh_per_second=2, disable=not _shows()) as progress:
+    hidden = not err.is_terminal or speaks_json()
+    with Progress(*columns, console=err, refresh_per_second=2, disable=hidden) as progress:
         tasks = {
             item.key: progress.add_task(escape(item.key.name), total=None, notes="")
             for item in items
@@ -188,11 +189,6 @@ async def _wait(cluster: ConnectedCluster, items: Sequence[_AwaitedObject]) -> N
             if not warned and loop.time() - begun > _NOTICE_SECONDS:
                 warned = _warn(items)
             await asyncio.sleep(LOOK_SECONDS)
-
-
-def _shows() -> bool:
-    """Tell whether bars are shown."""
-    return err.is_terminal and not speaks_json()
 
 
 async def _look(cluster: ConnectedCluster, item: _AwaitedObject, now: float) -> None:

@@ -19,12 +19,11 @@ from rich.text import Text
 from slamhive.cli.cluster.work import ClusterPlace
 from slamhive.cli.parts.console import bytes_text, out, remark
 from slamhive.kube.api.errors import ApiError
-from slamhive.kube.api.kinds import Kind
+from slamhive.kube.api.kinds import Kind, labels_of
 from slamhive.kube.status import metres, moment, phase_of
 from slamhive.kube.user.queries import (
     NamespacePicture,
     extent,
-    labels_of,
     look_around,
     look_at,
     name_of,
@@ -147,6 +146,7 @@ def _share(share: Object) -> list[tuple[str, str]]:
     times = [f"{word}s {share[word]}" for word in ("begin", "end") if share.get(word)]
     return [
         ("share", f"{share.get('fair', 0):g} runs of {slots}, with {others[0]} of {others[1]}"),
+        ("priority", str(share.get("priority") or "")),
         ("in line", f"place {share['place']}" if share.get("place") else ""),
         ("forecast", "; ".join(filter(None, (", ".join(times), str(share.get("forecast") or ""))))),
         ("limited by", str(share.get("limit") or "")),

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -80,7 +81,7 @@ def _pairs(tests: Sequence[GateSweep], comparing: Comparing, notes: list[str]) -
     """Return the settings that both sides have; what one of them lacks is noted.
 
     Raises:
-        InputError: they have none in common.
+        InputError: they have none in common, or were given something else of a recording.
     """
     cells = list(comparing.known.cells)
     rows = [(test, row) for test in tests for row in test.rows]
@@ -103,6 +104,7 @@ def _pairs(tests: Sequence[GateSweep], comparing: Comparing, notes: list[str]) -
         if cell is None:
             new.append(test.words(row))
         else:
+            _check_input(cell, test, row, comparing.path)
             pairs.append(_SettingPair(test, row, cell))
     if not pairs:
         raise InputError(
@@ -116,6 +118,28 @@ def _pairs(tests: Sequence[GateSweep], comparing: Comparing, notes: list[str]) -
     if known:
         notes.append(f"of the baseline, but not asked for here: {plural(len(known), 'setting')}")
     return pairs
+
+
+def _check_input(cell: BaselineCell, test: GateSweep, row: int, path: Path) -> None:
+    """Compare what a setting takes of its recording with what it took as it was recorded.
+
+    Raises:
+        InputError: it is something else.
+    """
+    now = test.input(row)
+    before = now if cell.input is None else cell.input
+    for name in sorted(before.keys() | now.keys()):
+        values = before.get(name), now.get(name)
+        if values[0] != values[1]:
+            where = f"{path}: {test.words(row)}: input.{name}"
+            raise _other(where, *("none" if one is None else json.dumps(one) for one in values))
+
+
+def _other(where: str, before: str, now: str) -> InputError:
+    return InputError(
+        f"{where}: recorded with {before}, here {now}: they can't be compared; slamhive gate --record makes "
+        "a new baseline"
+    )
 
 
 def _settings_text(found: Sequence[tuple[dict[str, Any], str | None]]) -> str:
@@ -200,7 +224,7 @@ class _Course:
         if not self._wish.chosen:
             here = self._columns | {FAILURES}
             found = [one for one in found if one.name in here]
-            if LATENCY in self._columns:
+            if all(LATENCY in columns_of([pair.before]) for pair in self._pairs):
                 found = [one for one in found if one.name != TIME]
         if not any(measure_of(one.name).is_error for one in found) and not self._wish.chosen:
             self._left_out.append("the baseline has no error")
@@ -258,10 +282,7 @@ class _Course:
             ):
                 if before is not None and here is not None and before != here:
                     where = f"{self._comparing.path}: {self.cells[number].name}: {what}"
-                    raise InputError(
-                        f"{where}: recorded with {before[:16]}, here {here[:16]}: they can't be "
-                        "compared; slamhive gate --record makes a new baseline"
-                    )
+                    raise _other(where, before[:16], here[:16])
             self.cells[number] = GateCell(self.cells[number].name, pair.before.runs, now.runs)
 
     def look(self, *, last: bool) -> None:

@@ -31,6 +31,7 @@ from slamhive.model.base import NAME_LIMIT, plural
 from slamhive.model.canonical import normalize
 from slamhive.model.errors import InputError
 from slamhive.model.results import Outcome, Phase, Reason
+from slamhive.model.run import essential
 from slamhive.model.sweep import Sweep
 from slamhive.plan import local_uid
 from slamhive.reporting.gate.baseline import BaselineCell
@@ -124,6 +125,10 @@ class GateSweep:
         point = self.points.point(self.index(row))
         found = normalize(dict(point.coordinates))
         return dict(found), point.short_spec["dataset"]
+
+    def input(self, row: int) -> dict[str, Any]:
+        """Input of a setting as its hash has it: the part of the recording, its pace."""
+        return essential(self.points.point(self.index(row)).spec["input"])
 
     def words(self, row: int) -> str:
         """Return the words that tell a setting from the others."""
@@ -263,6 +268,7 @@ def collect(test: GateSweep, bench: Workbench, columns: Iterable[str]) -> GateRo
             settings=settings,
             dataset=dataset,
             dataset_sha256=one("provenance.datasetSha256"),
+            input=test.input(row),
             alignment=one("alignment"),
             evaluation=wanted,
             memory=one("usage.memory.kind"),

@@ -52,11 +52,13 @@ class Checked:
         objects: their objects without those in which the model of its kind finds a mistake.
         plans: of each sweep and single run, its plan; only those without a mistake.
         problems: a sentence for each mistake, with file, line and field, in the order in which they stand.
+        misfits: such sentences on what the catalog here doesn't allow, where that is no mistake yet.
     """
 
     objects: list[Kind] = field(default_factory=list)
     plans: list[tuple[Sweep, Plan]] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
+    misfits: list[str] = field(default_factory=list)
 
     def refuse(self) -> None:
         """Raise what is wrong.
@@ -68,20 +70,23 @@ class Checked:
             raise InputError("\n".join(bounded(self.problems, MOST)))
 
 
-def check_files(paths: Sequence[Path], workshop: Workshop, *, strict: bool = True) -> Checked:
+def check_files(
+    paths: Sequence[Path], workshop: Workshop, *, strict: bool = True, misfits: bool = False
+) -> Checked:
     """Read manifests, take their catalog kinds into the workshop, and plan their sweeps.
 
     Args:
         paths: the files.
         workshop: the catalog.
-        strict: whether runs are checked against the catalog, too.
+        strict: whether it is a mistake what the catalog doesn't have or allow.
+        misfits: whether what it doesn't allow is looked for where it is none.
     """
     files = _JudgedFiles(workshop)
     for path in paths:
         files.read(path)
     checked = Checked([one.item for one in files.judged if one.item is not None and not one.problems])
     for one in files.judged:
-        files.plan(one, checked.plans, strict=strict)
+        files.plan(one, checked, strict=strict, misfits=misfits)
     checked.problems = [sentence for found in files.problems.values() for sentence in _in_order(found)]
     return checked
 
@@ -144,7 +149,7 @@ class _JudgedFiles:
     def _tell(self, source: str, sentences: Sequence[str]) -> None:
         self.problems[source] += [(_line(sentence, source), sentence) for sentence in sentences]
 
-    def plan(self, one: Judged, plans: list[tuple[Sweep, Plan]], *, strict: bool) -> None:
+    def plan(self, one: Judged, checked: Checked, *, strict: bool, misfits: bool) -> None:
         """Plan a sweep or single run, and check it against the catalog."""
         item, document = one.item, one.document
         if not isinstance(item, Sweep | MappingRun):
@@ -161,13 +166,17 @@ class _JudgedFiles:
         except InputError as error:
             findings.problems += str(error).splitlines()
         found = list(findings.problems)
-        if plan is not None and strict:
-            found += [*plan_problems(probed(plan), sys.maxsize), *objective_faults(sweep)]
+        if plan is not None and (strict or misfits):
+            unfit = [*plan_problems(probed(plan), sys.maxsize), *objective_faults(sweep)]
+            if strict:
+                found += unfit
+            else:
+                checked.misfits += [_placed(one, sentence) for sentence in unfit]
         placed = [_placed(one, sentence) for sentence in found]
         unread = {sentence.split(": ")[0] for sentence in document.problems}
         self._tell(document.source, [text for text in placed if text.split(": ")[0] not in unread])
         if plan is not None and not found and not one.problems:
-            plans.append((sweep, plan))
+            checked.plans.append((sweep, plan))
 
     @cached_property
     def _catalog(self) -> FixedCatalog:

@@ -21,10 +21,7 @@ _FRAME = 3
 
 
 def show_catalog(
-    headings: Sequence[str],
-    lines: Sequence[Sequence[str]],
-    prose: Sequence[int] = (),
-    console: Console = out,
+    headings: Sequence[str], lines: Sequence[Sequence[str]], prose: Sequence[int] = (), console: Console = out
 ) -> bool:
     """Print a table, a line an entry.
 

@@ -141,10 +141,7 @@ class Display:
         self._told_elsewhere = False
         self._best: dict[str, list[Any]] = {}
         self._live = Live(
-            console=err,
-            refresh_per_second=_REFRESH_PER_SECOND,
-            get_renderable=self._rendered,
-            transient=True,
+            console=err, refresh_per_second=_REFRESH_PER_SECOND, get_renderable=self._rendered, transient=True
         )
         self._shows = err.is_terminal and not speaks_json()
 
@@ -257,7 +254,11 @@ class Display:
     def _tell_search(self, job: Job) -> None:
         """Say how far a search is whenever it has found something better."""
         search = job.search
-        best = [(one.number, one.score) for one in search.best[:1]] if search is not None else []
+        best = (
+            [(one.number, one.score, one.is_complete) for one in search.best[:1]]
+            if search is not None
+            else []
+        )
         if search is None or not best or self._best.get(job.uid) == best:
             return
         self._best[job.uid] = best

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from typing import Annotated
 
 import typer
@@ -63,7 +64,8 @@ def show_robustness(
     """
     wish = card_wish(x, failing, quantile)
     home = Home.from_environment()
-    selection = select(sweep, evaluation, where, superseded=superseded)
+    # A run that two searches share is counted by the rules of both: the card counts equal content once each.
+    selection = replace(select(sweep, evaluation, where, superseded=superseded), each=True)
     frame, notes = choose_runs(selection, "there is nothing to say", homes_beside(home, also))
     card = robustness(frame, wish)
     columns = card.columns()
@@ -87,5 +89,5 @@ def show_robustness(
                 write_markdown(sys.stdout, headings, lines)
             else:
                 show(out, headings, lines)
-            for note in (*card.notes[:2], *notes):
+            for note in (*card.notes[:-1], *notes):
                 remark(note)

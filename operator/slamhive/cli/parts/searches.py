@@ -94,8 +94,8 @@ def progress_text(search: SearchUnderWay) -> str:
     what = "trial" if search.search.method.is_sampled else "value"
     of = f"of {most:,}" if search.search.method.is_sampled else f"of at most {most:,}"
     parts = [f"{what} {tried:,} {of}", plural(len(search.seen), "run")]
-    best = search.best[:1]
-    return ", ".join([*parts, *(f"best {setting_text(search, one)}" for one in best)])
+    best = [f"best {setting_text(search, one)}{_so_far(one)}" for one in search.best[:1]]
+    return ", ".join([*parts, *best])
 
 
 def setting_text(search: SearchUnderWay, standing: TrialStanding) -> str:
@@ -104,6 +104,11 @@ def setting_text(search: SearchUnderWay, standing: TrialStanding) -> str:
     at = ", ".join(f"{short_name(label, list(values))} {_plain(value)}" for label, value in values.items())
     figures = ", ".join(_figure(name, value) for name, value in _figures(search, standing).items())
     return f"{figures} at {at}"
+
+
+def _so_far(standing: TrialStanding) -> str:
+    """Return a word where figures are of fewer runs than those of settings that have all theirs."""
+    return "" if standing.is_complete else f" (after {plural(standing.runs, 'run')}, not all)"
 
 
 def end_lines(search: SearchUnderWay) -> list[str]:

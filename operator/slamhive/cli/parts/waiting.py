@@ -43,12 +43,14 @@ class _WorkStep:
         since: when it began, later by the time in which something else was made for it.
         share: how much of it is done; None where it isn't known.
         note: what else is to be said of it.
+        part: which part of it; empty where it has none.
     """
 
     what: str
     since: float
     share: float | None = None
     note: str = ""
+    part: str = ""
 
 
 class Work:
@@ -98,6 +100,12 @@ class Work:
         """Say how much of it is done, 0 to 1."""
         self._main.share = share
 
+    def part(self, what: str, share: float | None) -> None:
+        """Say how much is done, 0 to 1 or None, of a part of the work: it begins where it is first named."""
+        if self._main.part != what:
+            self._main = _WorkStep(self._main.what, self._clock(), part=what)
+        self._main.share = share
+
     def count(self, done: int, total: int | None, note: str = "", what: str | None = None) -> None:
         """Say how many of how many are done, and anything else in a few words."""
         step = self._main
@@ -129,14 +137,15 @@ class Work:
         """Return the progress in words: step, share, time so far, and about the time it still takes."""
         now, step = self._clock(), self._step
         share, taken = step.share, now - step.since
-        parts = [step.note]
+        parts = [step.part, step.note]
         if share is not None and not step.note:
             parts.append(f"{100 * min(share, 1.0):.0f} %")
         parts.append(time_text(now - self._began))
         least, seconds = _FORETELLS
         if share is not None and least <= share < 1 and taken >= seconds:
             left = taken * (1 - share) / share
-            parts.append(f"about {f'{left / 60:.0f} min' if left >= 90 else time_text(left)} left")
+            of_it = " of this step" if step.part else ""
+            parts.append(f"about {f'{left / 60:.0f} min' if left >= 90 else time_text(left)}{of_it} left")
         return ", ".join(filter(None, parts))
 
     @property

@@ -271,7 +271,5 @@ def _lines(
     lines += [{"kind": "absent", "dataset": name, "message": why} for name, why in found.absent.items()]
     lines += [{"kind": "note", "message": note} for note in found.notes]
     sums = {"runs": found.runs, "results": found.results, "agree": found.figures}
-    lines.append(
-        {"kind": "sum", "bundle": opened.sha256, **sums, "differ": len(found.mismatches)},
-    )
+    lines.append({"kind": "sum", "bundle": opened.sha256, **sums, "differ": len(found.mismatches)})
     return lines

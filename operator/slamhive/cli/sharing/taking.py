@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -135,7 +136,8 @@ def import_trajectories(
         raise InputError(f"expected a number of seconds, found {offset}", "offset")
     missing = [path for path in files if not path.is_file()]
     if missing:
-        raise InputError(f"{missing[0]}: no such file")
+        problem = "a folder; name the files in it" if missing[0].is_dir() else "no such file"
+        raise InputError(f"{missing[0]}: {problem}")
     home = Home.from_environment()
     with Work("importing") as work:
         bench = open_workbench(home)
@@ -202,9 +204,10 @@ def _parameters(words: list[str]) -> dict[str, Any]:
 def _value(text: str) -> Any:
     for kind in (int, float):
         try:
-            return kind(text)
+            number = kind(text)
         except ValueError:
             continue
+        return number if math.isfinite(number) else text  # nan and inf are no JSON
     return {"true": True, "false": False}.get(text, text)
 
 

@@ -6,13 +6,10 @@ from __future__ import annotations
 import json
 from collections import OrderedDict
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from slamhive.dashboard.problems import TooCostly
-from slamhive.model.base import API_VERSION
-from slamhive.model.errors import SlamHiveError
-from slamhive.model.sweep import Sweep
-from slamhive.plan import FixedCatalog, plan_of
+from slamhive.tables.searches import most_runs
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -56,7 +53,7 @@ class SweepTotals:
         news = {key: one for key, one in keys.items() if key not in self._known}
         if news:
             try:
-                found = await self._workers.compute(lambda: [total(one) for one in news.values()])
+                found = await self._workers.compute(lambda: [most_runs(one) for one in news.values()])
                 self._known.update(zip(news, found, strict=True))
             except TooCostly:
                 await self._one_by_one(news)
@@ -67,18 +64,6 @@ class SweepTotals:
     async def _one_by_one(self, news: Mapping[tuple[str, str], SweepRecord]) -> None:
         for key, record in news.items():
             try:
-                self._known[key] = await self._workers.compute(lambda one=record: total(one))  # type: ignore[misc]
+                self._known[key] = await self._workers.compute(lambda one=record: most_runs(one))  # type: ignore[misc]
             except TooCostly:
                 self._known[key] = None
-
-
-def total(record: SweepRecord) -> int | None:
-    """Return the number of runs that a sweep asks for, a search at most; None where its spec doesn't say."""
-    if not record.spec:
-        return None
-    try:
-        body: dict[str, Any] = {"apiVersion": API_VERSION, "kind": "Sweep", "metadata": {"name": record.name}}
-        sweep = Sweep.model_validate(body | {"spec": record.spec})
-        return plan_of(sweep, FixedCatalog(), strict=False).most_runs
-    except (SlamHiveError, ValueError, KeyError, TypeError):
-        return None

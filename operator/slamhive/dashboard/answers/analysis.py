@@ -24,13 +24,7 @@ from slamhive.analysis.grouping import (
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.measures import CAUSAL
 from slamhive.dashboard.answering.encoding import Body, plain
-from slamhive.dashboard.answers.columns import (
-    coded,
-    figure_json,
-    heading,
-    interval_json,
-    summary_json,
-)
+from slamhive.dashboard.answers.columns import coded, figure_json, heading, interval_json, summary_json
 from slamhive.dashboard.problems import TooLarge
 from slamhive.tables.queries import column, columns, number_column, outcomes, select
 from slamhive.tables.text import as_columns, flat_cells, flat_summary, key_text
@@ -147,19 +141,18 @@ def aggregated(snapshot: Snapshot, pairs: Pairs, by: str | None, metrics: str | 
     for name in shown:
         number_column(snapshot.frame, name, "metrics")
     keys = [*SUBJECT, *varying(frame)] if asked is None else asked
-    limit_groups(frame, keys, len(shown), "by")
+    limit_groups(frame, keys, len(shown))
     found = aggregate(frame, shown, asked, outcomes(which))
     return Body(_aggregate_json(snapshot, chosen, found), lambda: as_columns(flat_cells(found)))
 
 
-def limit_groups(frame: Frame, keys: Sequence[str], figures: int, field: str) -> None:
+def limit_groups(frame: Frame, keys: Sequence[str], figures: int) -> None:
     """Refuse a question whose answer would have too many figures, before they are computed.
 
     Args:
         frame: the rows.
         keys: columns that tell groups apart; facets may tell apart some more.
         figures: of each group.
-        field: parameter that says which groups there are.
 
     Raises:
         TooLarge: there are more than MAX_FIGURES.
@@ -172,7 +165,7 @@ def limit_groups(frame: Frame, keys: Sequence[str], figures: int, field: str) ->
         raise TooLarge(
             f"{groups:,} groups{each} are asked for, and an answer has at most {MAX_FIGURES:,} figures: "
             "choose fewer columns to group by, or fewer runs",
-            field,
+            "by",
         )
 
 
@@ -234,6 +227,7 @@ def ranked(snapshot: Snapshot, pairs: Pairs, metric: str, by: str | None, which:
         "metric": heading(frame, metric),
         "by": list(found.by),
         "pooled": found.pooled,
+        "whose": found.whose,
         "boards": [_board_json(board) for board in found.boards],
         "timely": timely and {"words": WORDS} | _aggregate_json(snapshot, chosen, timely),
         "notes": [

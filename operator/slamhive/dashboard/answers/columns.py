@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 _MAX_DISTINCT = 200
 _MAX_NUMBERS = 40
+_ENOUGH_ROWS = 20_000
+"""Rows in which different numbers are counted, where they are too many to be told: sorting all takes long."""
 
 
 def heading(frame: Frame, name: str, among: Collection[str] = ()) -> dict[str, Any]:
@@ -49,14 +51,21 @@ def heading(frame: Frame, name: str, among: Collection[str] = ()) -> dict[str, A
 
 
 def profile(frame: Frame, name: str) -> dict[str, Any]:
-    """Return a column's heading with how many rows have it, its range and its values where they are few."""
+    """Return a column's heading with how many rows have it, its range and its values where they are few.
+
+    Of many different numbers in a large table those of the first rows are counted: as many at least.
+    """
     column = frame.glance(name)
     described = heading(frame, name) | {"count": int(column.present.sum()), "group": group_of(name)}
     if column.kind.is_numeric:
-        uniques, counts = column.counted()
+        some = column if column.is_coded else column.take(np.arange(min(len(column), _ENOUGH_ROWS)))
+        uniques, counts = some.counted()
+        if len(uniques) <= _MAX_DISTINCT and len(some) < len(column):
+            uniques, counts = column.counted()
         if len(uniques):
-            ends = (column.plain(float(uniques[0])), column.plain(float(uniques[-1])))
-            described |= {"min": ends[0], "max": ends[1]}
+            every = uniques if column.is_coded else column.numbers
+            low, high = (column.plain(float(end.reduce(every))) for end in (np.fmin, np.fmax))
+            described |= {"min": low, "max": high}
         values = [column.plain(value) for value in uniques[:_MAX_DISTINCT].tolist()]
     else:
         counts = np.bincount(column.codes[column.present], minlength=len(column.values))

@@ -182,8 +182,7 @@ def common(snapshot: Snapshot, given: ResultMaterial) -> Body:
         "notes": meant.notes,
     }
     return Body(
-        content,
-        lambda: as_columns([{**group["facets"], **run} for group in found for run in group["runs"]]),
+        content, lambda: as_columns([{**group["facets"], **run} for group in found for run in group["runs"]])
     )
 
 

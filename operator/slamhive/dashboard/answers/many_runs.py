@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode
 
 from slamhive.analysis.grouping import late_notes, varies, varying
-from slamhive.analysis.selection import order_rows
+from slamhive.analysis.selection import complete, order_rows
 from slamhive.dashboard.answering.encoding import Body, Table
 from slamhive.dashboard.answers import paging
 from slamhive.dashboard.answers.columns import heading, profile
@@ -74,7 +74,7 @@ def runs_page(
     notes = [*meanings(frame, shown), *left_out, *late_notes(frame, shown), *disproportion_notes(frame)]
     same = [name for name in shown if total > 1 and not varies(frame, name)]
     if after is not None:
-        place = paging.read_token(after, question, paging.token_length(order))
+        place = paging.read_token(after, question, len(complete(order)))
         frame = frame.select(paging.rows_behind(frame, order, place))
     left = len(frame)
     frame = frame.select(order_rows(frame, order)[:limit])

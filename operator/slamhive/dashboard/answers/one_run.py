@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from slamhive.runfiles.artifacts import ArtifactFolder
     from slamhive.runfiles.ground_truth import DatasetTruth
 
+_WITH_CAMERAS = frozenset(str(mode) for mode in SensorMode if mode.has_cameras)
 _PARTS = ("usage", "frames", "trajectory")
 _SETTINGS = (f"{SETTINGS_FOLDER}/", f"run/{SETTINGS_FOLDER}/")
 DRAWN = (*TRAJECTORIES, *CONFIGURATIONS)
@@ -150,11 +151,7 @@ def detail(snapshot: Snapshot, found: FoundRun, alike: RunsAlike | None = None) 
         **{name: spec.get(name) for name in ("sensors", "repetition", "seed")},
         **{name: spec.get(name) or {} for name in ("parameters", "input", "resources")},
     }
-    subject = tuple(configuration[name] for name in SUBJECT)
-    if subject not in alike.varied:
-        alike.varied[subject] = _varied(snapshot, configuration)
-    if not alike.labelled:
-        alike.labelled.update(_labelled(snapshot))
+    varied, labelled = shared(snapshot, tuple(configuration[name] for name in SUBJECT), alike)
     content: dict[str, Any] = {
         "revision": snapshot.revision,
         "uid": record.uid,
@@ -165,14 +162,14 @@ def detail(snapshot: Snapshot, found: FoundRun, alike: RunsAlike | None = None) 
         **{name: plain.get(name) for name in ("phase", "reason", "message", "attempts")},
         **{name: plain.get(name) for name in ("created", "started", "finished")},
         "configuration": configuration,
-        "varied": alike.varied[subject],
-        "cameras": _has_cameras(spec.get("sensors")),
+        "varied": varied,
+        "cameras": spec.get("sensors") in _WITH_CAMERAS,
         "note": record.note,
         "tags": record.tags,
         "attributes": record.attributes,
         "labels": record.labels,
         "metrics": record.metrics,
-        "labelled": alike.labelled,
+        "labelled": labelled,
         **{name: plain.get(name) for name in _PARTS},
         "provenance": plain.get("provenance") or {},
         "results": [_result_json(causal_result(record, result)) for result in record.results],
@@ -202,12 +199,24 @@ def _chosen_note(snapshot: Snapshot, record: RunRecord) -> str | None:
     return told if any(method) else None
 
 
-def _varied(snapshot: Snapshot, configuration: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the headings of the settings by which the algorithm's runs on the dataset differ."""
-    alike = snapshot.frame
-    for name in SUBJECT:
-        alike = alike.select(where_equal(alike, name, configuration[name]))
-    return [heading(snapshot.frame, name) for name in varying(alike)]
+def shared(
+    snapshot: Snapshot, subject: tuple[Any, ...], alike: RunsAlike
+) -> tuple[list[dict[str, Any]], dict[str, str]]:
+    """Return the parts that answers on runs of an algorithm and mode on a dataset have in common.
+
+    Args:
+        snapshot: the data.
+        subject: the three.
+        alike: what is known already; it is filled.
+    """
+    if subject not in alike.varied:
+        same = snapshot.frame
+        for name, value in zip(SUBJECT, subject, strict=True):
+            same = same.select(where_equal(same, name, value))
+        alike.varied[subject] = [heading(snapshot.frame, name) for name in varying(same)]
+    if not alike.labelled:
+        alike.labelled.update(_labelled(snapshot))
+    return alike.varied[subject], alike.labelled
 
 
 def _labelled(snapshot: Snapshot) -> dict[str, str]:
@@ -217,11 +226,6 @@ def _labelled(snapshot: Snapshot) -> dict[str, str]:
         told = {name: label_of(name, "" if name.endswith("Bytes") else None) for name in columns}
     changed = {name: text for name, text in told.items() if text != name}
     return {name: text.removeprefix(f"{group_of(name)}.") for name, text in changed.items()}
-
-
-def _has_cameras(sensors: str | None) -> bool:
-    """Tell whether a run was given images: not by what is written of a mode that isn't known."""
-    return sensors in {str(mode) for mode in SensorMode if mode.has_cameras}
 
 
 def _result_json(result: Result) -> dict[str, Any]:

@@ -94,11 +94,6 @@ def last_values(frame: Frame, place: int, sort: Sequence[str]) -> list[Any]:
     return [row[name] for name in names]
 
 
-def token_length(sort: Sequence[str]) -> int:
-    """Return the number of values in a token."""
-    return len(complete(sort))
-
-
 def _place(column: Column, value: Any) -> float:
     """Return the rank of a value in a column; midway between its neighbours if the value is gone."""
     if value is None:

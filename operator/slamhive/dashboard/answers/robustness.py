@@ -22,7 +22,7 @@ RESERVED = ("axes", "failing", "quantile", "format")
 
 def card_of(snapshot: Snapshot, pairs: Pairs, wish: RobustnessWish) -> Body:
     """Return the robustness card of the runs that are meant."""
-    chosen = select(snapshot.frame, pairs, RESERVED)
+    chosen = select(snapshot.frame, pairs, RESERVED, each=True)
     try:
         card = robustness(chosen.frame, wish)
     except InputError as error:

@@ -14,12 +14,7 @@ from slamhive.analysis.pareto import pareto
 from slamhive.analysis.repeating import repeatability, suspects
 from slamhive.dashboard.answering.encoding import Body, plain
 from slamhive.dashboard.answers.analysis import limit_groups
-from slamhive.dashboard.answers.columns import (
-    figure_json,
-    heading,
-    interval_json,
-    summary_json,
-)
+from slamhive.dashboard.answers.columns import figure_json, heading, interval_json, summary_json
 from slamhive.tables.published import differences_of, load_published, published_on
 from slamhive.tables.queries import columns, number_column, outcomes, select
 from slamhive.tables.text import as_columns, flat_summary
@@ -65,8 +60,7 @@ def compared(
         "notes": [*chosen.notes, *notes],
     }
     return Body(
-        content,
-        lambda: as_columns([board.facets | pair.flat() for board in boards for pair in board.pairs]),
+        content, lambda: as_columns([board.facets | pair.flat() for board in boards for pair in board.pairs])
     )
 
 
@@ -96,7 +90,7 @@ def fronts(snapshot: Snapshot, pairs: Pairs, axes: tuple[str, str], by: str | No
     told = columns(snapshot.frame, by, "by", COMPETITORS)
     chosen = select(snapshot.frame, pairs, RESERVED)
     frame = chosen.frame
-    limit_groups(frame, [*told, "dataset"], 1, "by")
+    limit_groups(frame, [*told, "dataset"], 1)
     found, notes = pareto(frame, x, y, told, outcomes(which))
     content = {
         "revision": snapshot.revision,

@@ -11,15 +11,7 @@ import numpy as np
 
 from slamhive.analysis.grouping import where_equal
 from slamhive.dashboard.answering.encoding import Body
-from slamhive.dashboard.answers.catalog import (
-    MAX_NAMES,
-    chosen,
-    current,
-    names,
-    single,
-    sweep_names,
-    tally,
-)
+from slamhive.dashboard.answers.catalog import MAX_NAMES, chosen, current, names, single, sweep_names, tally
 from slamhive.dashboard.problems import BadRequest, Missing
 from slamhive.model.errors import suggestion
 from slamhive.model.results import Outcome
@@ -227,11 +219,7 @@ def find_sweep(
         Missing: no sweep is called so.
         BadRequest: several are.
     """
-    addresses = {
-        *sweep_names(runs),
-        *snapshot.sweeps,
-        *((one.namespace or "", one.name) for one in known),
-    }
+    addresses = {*sweep_names(runs), *snapshot.sweeps, *((one.namespace or "", one.name) for one in known)}
     found = [(space, title) for space, title in addresses if title == name and namespace in {None, space}]
     if not found:
         titles = [title for _, title in addresses]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.columns import Column, ColumnKind
+from slamhive.analysis.columns import Column, ColumnKind, renumbered
 from slamhive.analysis.flattening import spread, stack
 from slamhive.analysis.frame import Frame
 from slamhive.analysis.grouping import varying
@@ -19,6 +19,7 @@ from slamhive.analysis.selection import first_rows
 from slamhive.dashboard.answering.encoding import Body
 from slamhive.dashboard.answers.columns import heading
 from slamhive.dashboard.problems import BadRequest
+from slamhive.model.base import plural
 from slamhive.model.results import Phase, Reason
 from slamhive.tables.queries import select
 from slamhive.tables.text import as_columns
@@ -157,9 +158,8 @@ def _spans(frame: Frame, clock: Callable[[], float], notes: list[str]) -> Spans:
     """Return the spans that runs were worked at, without runs that nobody worked at."""
     taken = frame.column("provenance.reusedFrom").present
     if taken.any():
-        notes.append(
-            f"{int(taken.sum())} runs took over the result of an equal one: nothing was done for them"
-        )
+        runs = plural(int(taken.sum()), "run")
+        notes.append(f"nothing was done for {runs} that took over the result of an equal one")
         frame = frame.select(~taken)
     created, start, end = (frame.column(name).floats() for name in ("created", "started", "finished"))
     live = ~frame.column("phase").among(_FINISHED)
@@ -167,7 +167,7 @@ def _spans(frame: Frame, clock: Callable[[], float], notes: list[str]) -> Spans:
     end = np.where(np.isnan(end) & live & ~np.isnan(begin), clock(), end)
     known = ~np.isnan(begin) & (end >= begin)
     if not known.all():
-        notes.append(f"of {int((~known).sum())} runs nobody noted when they ran: they are left out")
+        notes.append(f"left out: {plural(int((~known).sum()), 'run')} of which nobody noted when")
         frame = frame.select(known)
         begin, start, end, live = begin[known], start[known], end[known], live[known]
     failed = frame.column("status").among(_FAILURES)
@@ -194,9 +194,10 @@ def _lanes(frame: Frame, begin: Floats, end: Floats) -> tuple[npt.NDArray[np.int
         if sets[number % len(sets)] is None:
             rows = np.flatnonzero(pair == number)
             places[rows] = _packed(begin[rows], end[rows])
-    used, of_row = np.unique(np.stack([pair, places], axis=1), axis=0, return_inverse=True)
+    width = int(places.max(initial=0)) + 1
+    used, of_row = renumbered(pair * width + places, len(names) * max(1, len(sets)) * width)
     keys = []
-    for number, place in used.tolist():
+    for number, place in (divmod(one, width) for one in used.tolist()):
         held = sets[number % len(sets)]
         text = f"place {place + 1}" if held is None else f"cores {held}"
         keys.append((str(names[number // len(sets)] or "this machine"), held is None, text))
@@ -210,7 +211,7 @@ def _lanes(frame: Frame, begin: Floats, end: Floats) -> tuple[npt.NDArray[np.int
         node if free and nodes_with[node] == 1 else f"{node}, {text}"
         for node, free, text in (keys[at] for at in order)
     ]
-    return rank[of_row.ravel()], shown
+    return rank[of_row], shown
 
 
 def _natural(text: str) -> list[tuple[bool, int, str]]:
@@ -220,19 +221,26 @@ def _natural(text: str) -> list[tuple[bool, int, str]]:
 
 def _packed(begin: Floats, end: Floats) -> npt.NDArray[np.intp]:
     """Return for each span the first place that is free when it begins, (n,)."""
-    places = np.zeros(len(begin), dtype=np.intp)
+    order = np.argsort(begin, kind="stable")
+    begins, ends = begin[order], end[order]
+    # Who begins when all before have ended, and ends before the next begins, finds the first place free.
+    meets_none = np.append(True, begins[1:] >= np.maximum.accumulate(ends)[:-1])
+    shared = np.flatnonzero(~(meets_none & np.append(meets_none[1:], True)))
+    of_shared: list[int] = []
     free: list[int] = []
     busy: list[tuple[float, int]] = []
     count = 0
-    for at in np.argsort(begin, kind="stable").tolist():
-        while busy and busy[0][0] <= begin[at]:
+    for start, stop in zip(begins[shared].tolist(), ends[shared].tolist(), strict=True):
+        while busy and busy[0][0] <= start:
             heapq.heappush(free, heapq.heappop(busy)[1])
         if free:
             place = heapq.heappop(free)
         else:
             place, count = count, count + 1
-        places[at] = place
-        heapq.heappush(busy, (float(end[at]), place))
+        of_shared.append(place)
+        heapq.heappush(busy, (stop, place))
+    places = np.zeros(len(begin), dtype=np.intp)
+    places[order[shared]] = of_shared
     return places
 
 

@@ -7,13 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.dashboard.answering.encoding import Body
 from slamhive.dashboard.answers.common_support import Meant
-from slamhive.runfiles.suspecting import (
-    MOST_RUNS,
-    TRACKED_COLUMNS,
-    LocatedRun,
-    suspects_of,
-    tracked_systems,
-)
+from slamhive.runfiles.suspecting import MOST_RUNS, TRACKED_COLUMNS, LocatedRun, suspects_of, tracked_systems
 from slamhive.tables.queries import select
 from slamhive.tables.text import as_columns
 from slamhive_eval.measures.suspects import LEAST_SYSTEMS

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 from urllib.parse import quote, unquote
 
@@ -12,6 +13,7 @@ from fastapi import Request, Response
 
 from slamhive.analysis.grouping import where_equal
 from slamhive.dashboard.answering.totals import SweepTotals
+from slamhive.dashboard.problems import told
 from slamhive.dashboard.server.app import application
 from slamhive.dashboard.server.service import Service
 from slamhive.model.errors import UnknownNameError
@@ -111,17 +113,17 @@ class _Within:
 
 
 class _AskedService(Service):
-    """Service that keeps each answer as it was made.
+    """Service that keeps how each answer is made.
 
     Attributes:
-        made: the last answer.
+        made: makes the last answer, and asks no database.
     """
 
     def __init__(self, source: Source) -> None:
         super().__init__(source)
         self.workers = cast("AnswerWorkers", _Within())
         self._totals = SweepTotals(self.workers)
-        self.made: Body | None = None
+        self.made: Callable[[], Body] | None = None
 
     def forget(self) -> None:
         """Forget the last answer, so that a refusal isn't taken for it."""
@@ -134,9 +136,9 @@ class _AskedService(Service):
         compute: Callable[[Snapshot, G], Body],
         little: Callable[[Snapshot], bool] | None = None,  # noqa: ARG002
     ) -> Response:
-        """Compute an answer, and keep it."""
+        """Gather what an answer is made of, and keep how."""
         snapshot = await self.fresh()
-        self.made = compute(snapshot, await gather(snapshot))
+        self.made = partial(compute, snapshot, await gather(snapshot))
         return Response(status_code=200)
 
 
@@ -155,8 +157,8 @@ class QuestionAsker:
         self._service = _AskedService(cast("Source", source))
         self._app = application(self._service)
 
-    async def ask(self, question: str) -> Body | RefusedQuestion:
-        """Return the answer at an address of the API, which is one for programs: path and query string."""
+    async def ask(self, question: str) -> Callable[[], Body | RefusedQuestion]:
+        """Return the work that answers an address of the API: path and query string of one for programs."""
         path, _, query = question.partition("?")
         scope = {
             "type": "http",
@@ -187,8 +189,20 @@ class QuestionAsker:
         await self._app(scope, receive, send)
         made = self._service.made
         if made is not None and status == 200:
-            return made
-        return RefusedQuestion(status, json.loads(b"".join(parts) or b"{}"))
+            return partial(_answered, made)
+        refused = RefusedQuestion(status, json.loads(b"".join(parts) or b"{}"))
+        return lambda: refused
+
+
+def _answered(make: Callable[[], Body]) -> Body | RefusedQuestion:
+    """Return an answer, or what the API says in the place of one."""
+    try:
+        return make()
+    except Exception as error:
+        found = told(error)
+        if found is None:
+            raise
+        return RefusedQuestion(*found)
 
 
 def address(path: str, *pairs: tuple[str, str]) -> str:

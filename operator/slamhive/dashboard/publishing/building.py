@@ -9,6 +9,7 @@ import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from html import escape
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,6 @@ import numpy as np
 from slamhive import __version__
 from slamhive.analysis.grouping import where_equal
 from slamhive.analysis.repeating import repeatability, spread_within
-from slamhive.analysis.selection import first_rows
 from slamhive.dashboard.answering.encoding import encode_csv, encode_json
 from slamhive.dashboard.answers.catalog import sweep_names
 from slamhive.dashboard.publishing import questions, table
@@ -33,17 +33,22 @@ from slamhive.dashboard.publishing.asking import (
 from slamhive.dashboard.publishing.feed import badge, feed, places
 from slamhive.dashboard.publishing.folder import FORMAT, KIND, MARK, SiteFolder
 from slamhive.dashboard.publishing.runpages import RunPages
+from slamhive.dashboard.publishing.sharing import shared
+from slamhive.dashboard.publishing.state import state_of
 from slamhive.dashboard.server.security import CONTENT_POLICY
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from importlib.resources.abc import Traversable
     from pathlib import Path
 
     from slamhive.analysis.frame import Frame
+    from slamhive.dashboard.answering.encoding import Body
     from slamhive.dashboard.publishing.feed import Place
-    from slamhive.dashboard.sources.archived import Snapshot, Source
+    from slamhive.dashboard.publishing.state import MarkedSource, SiteState
+    from slamhive.dashboard.sources.archived import Snapshot
+    from slamhive.dashboard.sources.looks import Looks
 
 TITLE = "SLAM Hive"
 MOST_TITLE = 200
@@ -57,6 +62,10 @@ TOO_MUCH = 501
 _TOO_MUCH = (
     "This site leaves out what has too many groups: choose columns to group by here. Where the runs are, "
     "slamhive dashboard shows them."
+)
+_RANKS = address(
+    f"{questions.ANALYSIS}/leaderboard",
+    *(("metric", questions.ERROR), ("by", questions.COMPETITORS[0]), ("outcomes", "tracked")),
 )
 _ROOT = re.compile(r'(href|src)="/(?!/)')
 _NO_SCRIPT = (
@@ -76,6 +85,7 @@ class BuiltSite:
         files: in the folder by now.
         size: bytes of those.
         badges: places of competitors that have badges.
+        same: whether nothing it is made from differs from what it showed, so that nothing was done.
     """
 
     runs: int
@@ -84,7 +94,8 @@ class BuiltSite:
     bytes: int
     files: int
     size: int
-    badges: Sequence[Place]
+    badges: Sequence[Place] = ()
+    same: bool = False
 
 
 @dataclass(frozen=True)
@@ -119,7 +130,7 @@ class SiteWish:
 
 
 async def build(
-    path: Path, source: Source, wish: SiteWish, tell: Callable[[str], None] = lambda _: None
+    path: Path, source: MarkedSource, wish: SiteWish, tell: Callable[[str], None] = lambda _: None
 ) -> BuiltSite:
     """Write a site, or bring one up to date.
 
@@ -133,13 +144,24 @@ async def build(
         InputError: the folder holds something else, or there is nothing to show.
     """
     folder = SiteFolder(path)
+    looks = source.looks()
     with ThreadPoolExecutor(1, thread_name_prefix="look") as executor:
         await source.start(executor)
         try:
             published = PublishedRuns(source, await source.fresh(), wish.sweeps)
-            return await _Building(folder, published, await published.fresh(), wish, tell).built()
+            return await _Building(folder, published, await published.fresh(), wish, tell).built(looks)
         finally:
             await source.stop()
+
+
+@dataclass(frozen=True)
+class _KeptAnswer:
+    """Answer as it was kept, or why there is none; and files and bytes that were written for it."""
+
+    file: str = ""
+    table: str | None = None
+    refused: dict[str, Any] | None = None
+    written: tuple[int, int] = (0, 0)
 
 
 class _Building:
@@ -158,41 +180,57 @@ class _Building:
         self._tell = tell
         self._asker = QuestionAsker(source)
         self._answers: dict[str, Any] = {}
+        self._asked: dict[str, Callable[[], _KeptAnswer]] = {}
         self._files: dict[str, str] = {}
         self._tables: dict[str, str] = {}
         self._refused: dict[str, Any] = {}
         self._conditions: list[str] = []
 
-    async def built(self) -> BuiltSite:
+    async def built(self, looks: Looks) -> BuiltSite:
         frame = self._snapshot.frame
         if not len(frame):
             raise InputError("there are no finished runs to show: slamhive run SWEEP.yaml makes some")
+        code = PagesCode.read()
+        wish = [FORMAT, code.folder, self._wish.title, self._wish.base, *self._wish.sweeps]
+        state = state_of(self._source, self._snapshot, looks, wish)
         before = self._folder.before
+        kept = self._folder.kept()
+        if before.get("state") == state.whole and before.get("kept") == kept:
+            return BuiltSite(len(state.runs), before["answers"], 0, 0, *self._folder.size(), same=True)
         shown = self._folder.read(before["index"]) if before else None
-        runs = [str(uid) for uid in frame.select(first_rows(frame)).column("uid").tolist()]
-        self._tell("answers")
+        self._folder.begin()
+        self._tell("questions")
         await self._ask_all()
-        self._tell("table")
-        columns = table.written(self._folder, frame, self._conditions)
-        self._tell("runs")
-        pages = RunPages(self._folder, self._source, self._snapshot, len(runs))
-        directory = pages.written(runs, self._folder.read(shown["runs"]) if shown else None)
-        index = {
+        index: dict[str, Any] = {
             "answers": self._files,
             "csv": self._tables,
             "refused": self._refused,
             "measures": self._measures,
-            "table": columns,
-            "runs": self._folder.keep(directory),
         }
+
+        def own() -> None:
+            self._tell("table")
+            index["table"] = table.written(self._folder, frame, self._conditions)
+            self._tell("runs")
+            pages = RunPages(self._folder, self._source, self._snapshot, state.runs, state.alike)
+            lost = kept[:1] < before.get("kept", [])[:1]
+            directory = pages.written(self._folder.read(shown["runs"]) if shown else None, lost=lost)
+            index["runs"] = self._folder.keep(directory)
+            self._tell("answers")
+
+        self._answer_all(own)
         ranks = list(self._ranks(frame))
-        self._lead_to(self._folder.keep(index), ranks)
-        count, size = self._folder.size()
+        self._lead_to(self._folder.keep(index), ranks, code, state)
         added, added_bytes = self._folder.written
-        return BuiltSite(len(runs), len(self._files), added, added_bytes, count, size, ranks)
+        return BuiltSite(
+            len(state.runs), len(self._files), added, added_bytes, *self._folder.size(), badges=ranks
+        )
 
     async def _ask_all(self) -> None:
-        columns = questions.AskedColumns(await self._ask(f"{questions.API}/columns"))
+        """Ask all questions; what is known by now are the answers that others follow from."""
+        columns = questions.AskedColumns(await self._known(f"{questions.API}/columns"))
+        await self._known(f"{questions.API}/sweeps")
+        await self._known(_RANKS)
         sweeps = sorted(sweep_names(self._snapshot.frame))
         named = {
             "sweeps": [name for _, name in sweeps],
@@ -205,33 +243,53 @@ class _Building:
             asked = columns
             if view:
                 question = address(f"{questions.API}/columns", *view)
-                asked = questions.AskedColumns(await self._ask(question))
+                asked = questions.AskedColumns(await self._known(question))
             for question in questions.of_view(view, asked):
                 await self._ask(question)
         for question in questions.of_all(columns):
             await self._ask(question)
         self._conditions, self._measures = questions.conditions(columns), columns.measures
 
-    async def _ask(self, question: str) -> Any:
-        """Ask, keep the answer and its table, and return it; a refusal is kept as one."""
+    async def _ask(self, question: str) -> None:
+        """Ask; the answer is made later, wherever there is time for it."""
         key = canonical(question)
-        if key in self._answers:
-            return self._answers[key]
-        found = await self._asker.ask(question)
+        if key not in self._asked:
+            self._asked[key] = partial(self._kept, await self._asker.ask(question))
+
+    async def _known(self, question: str) -> Any:
+        """Return an answer, made now; None where it is refused."""
+        found = (await self._asker.ask(question))()
+        key = canonical(question)
+        self._answers[key] = None if isinstance(found, RefusedQuestion) else found.content
+        self._asked.setdefault(key, partial(self._kept, lambda: found))
+        return self._answers[key]
+
+    def _kept(self, make: Callable[[], Body | RefusedQuestion]) -> _KeptAnswer:
+        """Make an answer, keep it and its table; a refusal is kept as one."""
+        before, found = tuple(self._folder.written), make()
         if isinstance(found, RefusedQuestion):
-            self._refused[key] = {"status": found.status, **found.said}
-            self._answers[key] = None
-            return None
+            return _KeptAnswer(refused={"status": found.status, **found.said})
         content = encode_json(found.content)
         if len(content) > MOST_BYTES:
-            self._refused[key] = {"status": TOO_MUCH, "error": _TOO_MUCH, "field": None}
-            self._answers[key] = None
-            return None
-        self._files[key] = self._folder.keep_text(content)
+            return _KeptAnswer(refused={"status": TOO_MUCH, "error": _TOO_MUCH, "field": None})
+        file, table_file = self._folder.keep_text(content), None
         if found.columns is not None and len(content) <= MOST_TABLE:
-            self._tables[key] = self._folder.keep_text(encode_csv(found.columns()))
-        self._answers[key] = found.content
-        return found.content
+            table_file = self._folder.keep_text(encode_csv(found.columns()))
+        files, size = self._folder.written
+        return _KeptAnswer(file, table_file, None, (files - before[0], size - before[1]))
+
+    def _answer_all(self, meanwhile: Callable[[], None]) -> None:
+        """Make all answers that were asked for, while this process does something else first."""
+        answers, beside = shared(list(self._asked.values()), meanwhile)
+        for at in beside:
+            self._folder.count(*answers[at].written)
+        for key, answer in zip(self._asked, answers, strict=True):
+            if answer.refused is not None:
+                self._refused[key] = answer.refused
+            else:
+                self._files[key] = answer.file
+            if answer.table is not None:
+                self._tables[key] = answer.table
 
     def _ranks(self, frame: Frame) -> Iterator[Place]:
         """Go through the places on all boards; of a badge's several ones that of most competitors counts."""
@@ -242,8 +300,7 @@ class _Building:
             told = tuple(map(str, key))
             dates[told] = np.fmax(dates.get(told, np.nan), at)
         days = {key: _moment(at)[:10] for key, at in dates.items() if at == at}  # noqa: PLR0124
-        asked = ("metric", questions.ERROR), ("by", questions.COMPETITORS[0]), ("outcomes", "tracked")
-        found = self._answers.get(canonical(address(f"{questions.ANALYSIS}/leaderboard", *asked)))
+        found = self._answers[canonical(_RANKS)]
         seen: set[str] = set()
         for board in sorted((found or {}).get("boards") or [], key=lambda one: -len(one["entries"])):
             of_board = np.ones(len(frame), dtype=bool)
@@ -255,18 +312,17 @@ class _Building:
                     seen.add(place.file)
                     yield place
 
-    def _lead_to(self, index: str, ranks: Sequence[Place]) -> None:
+    def _lead_to(self, index: str, ranks: Sequence[Place], code: PagesCode, state: SiteState) -> None:
         """Write what leads to the answers: the feed and the badges, then the pages, the mark last."""
-        sweeps = (self._answers.get(f"{questions.API}/sweeps") or {}).get("items") or []
+        sweeps = (self._answers[f"{questions.API}/sweeps"] or {}).get("items") or []
         now, before = datetime.now(UTC).isoformat(timespec="seconds"), self._folder.bytes_of("feed.xml")
         atom, updated = feed(self._wish.title, self._wish.base, sweeps, ranks, now=now, before=before)
         self._folder.replace("feed.xml", atom)
         for place in ranks:
             self._folder.replace(place.file, badge(place))
-        static = files("slamhive.dashboard").joinpath("static")
-        pages = self._keep_pages(static)
-        home = static.joinpath("index.html").read_text("utf-8")
-        self._folder.replace("index.html", _index_html(home, pages, self._wish).encode())
+        for name, content in code.files.items():
+            self._folder.keep_file(f"{code.folder}/{name}", content)
+        self._folder.replace("index.html", _index_html(code.home, code.folder, self._wish).encode())
         mark = {
             "kind": KIND,
             "format": FORMAT,
@@ -274,24 +330,41 @@ class _Building:
             "title": self._wish.title,
             "updated": updated,
             "index": index,
+            "answers": len(self._files),
+            "state": state.whole,
+            "kept": self._folder.kept(),
         }
         self._folder.replace(MARK, json.dumps(mark, indent=1).encode() + b"\n")
 
-    def _keep_pages(self, static: Traversable) -> str:
-        """Keep the pages' code in a folder called by its content, and return its address."""
+
+@dataclass(frozen=True)
+class PagesCode:
+    """Code of the pages, which a site keeps in a folder called by its content.
+
+    Attributes:
+        folder: its address.
+        files: by their names in it.
+        home: the page that begins, as the dashboard has it.
+    """
+
+    folder: str
+    files: Mapping[str, bytes]
+    home: str
+
+    @classmethod
+    def read(cls) -> PagesCode:
+        """Return the dashboard's own, fit for any address."""
         # A site may lie below any address: what the pages name from the root is named from beside them.
+        static = files("slamhive.dashboard").joinpath("static")
         found = {
             name: content.replace(b"'/vendor/", b"'../vendor/") if name.startswith("core/") else content
             for name, content in _files_below(static)
-            if name != "index.html"
         }
+        home = found.pop("index.html")
         digest = hashlib.sha256(
             b"\0".join(name.encode() + content for name, content in sorted(found.items()))
         )
-        folder = f"pages/{digest.hexdigest()[:12]}"
-        for name, content in found.items():
-            self._folder.keep_file(f"{folder}/{name}", content)
-        return folder
+        return cls(f"pages/{digest.hexdigest()[:12]}", found, home.decode())
 
 
 def _files_below(folder: Traversable, prefix: str = "") -> Iterator[tuple[str, bytes]]:

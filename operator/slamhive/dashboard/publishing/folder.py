@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 KIND = "slamhive-site"
 FORMAT = 1
 MARK = "site.json"
+FOLDERS = ("data", "pages")
+"""Folders of files that never change."""
+
 _MOST_MARK = 1 << 20
 _LEVEL = 6
 _DIGITS = 20
@@ -36,7 +39,7 @@ class SiteFolder:
 
     Attributes:
         path: the folder.
-        before: what MARK said before; {} for a new site.
+        before: what MARK said before; {} for a new site, and for one that was never completed.
         written: files and bytes that were added.
 
     Args:
@@ -51,6 +54,11 @@ class SiteFolder:
         self.before = _mark_of(path)
         self.written = [0, 0]
         self._there: set[str] = set()
+
+    def begin(self) -> None:
+        """Write the mark of a site that isn't complete, so that the next update knows the folder for one."""
+        if not self.before:
+            self.replace(MARK, encode_json({"kind": KIND, "format": FORMAT}))
 
     def keep(self, content: Any) -> str:
         """Keep an answer as a packed file called by its content, and return what it is called."""
@@ -80,7 +88,9 @@ class SiteFolder:
         try:
             return json.loads(gzip.decompress(place.read_bytes()))
         except (OSError, EOFError, ValueError) as error:
-            raise InputError(f"{place}: a file of this site can't be read: {error}") from None
+            raise InputError(
+                f"{place}: a file of this site can't be read: {error}: put it back, or name a new folder"
+            ) from None
 
     def keep_file(self, name: str, content: bytes) -> None:
         """Keep a file under a name that has its content's hash in it."""
@@ -105,13 +115,25 @@ class SiteFolder:
             raise InputError(f"{place.parent}: {error.strerror}") from None
         with output_whole(place, "") as aside:
             aside.write_bytes(content)
-        self.written[0] += 1
-        self.written[1] += len(content)
+        self.count(1, len(content))
 
-    def size(self) -> tuple[int, int]:
-        """Return the number of files in it and their bytes."""
-        sizes = [place.stat().st_size for place in self.path.rglob("*") if place.is_file()]
-        return len(sizes), sum(sizes)
+    def count(self, files: int, size: int) -> None:
+        """Count files that were added, with their bytes; another process may have added them."""
+        self.written[0] += files
+        self.written[1] += size
+
+    def kept(self) -> list[int | str]:
+        """Return the signs of a folder as an update left it, for the mark; the number of files first."""
+        found = hashlib.sha256()
+        for name in ("index.html", "feed.xml", *sorted((self.path / "badges").rglob("*.svg"))):
+            found.update(self.bytes_of(str(name)))
+        return [*self.size(*FOLDERS), found.hexdigest()]
+
+    def size(self, *folders: str) -> tuple[int, int]:
+        """Return the number of files in some folders of it and their bytes; of all where none is named."""
+        names = folders or ("",)
+        places = [place for name in names for place in (self.path / name).rglob("*") if place.is_file()]
+        return len(places), sum(place.stat().st_size for place in places)
 
 
 def _mark_of(path: Path) -> dict[str, Any]:
@@ -142,4 +164,4 @@ def _mark_of(path: Path) -> dict[str, Any]:
         raise InputError(
             f"{path} is a site in format {found.get('format')!r}, and this slamhive writes {FORMAT}"
         )
-    return found
+    return found if "index" in found else {}

@@ -7,7 +7,9 @@ Points, runs and their orders aren't among them: those are taken of ``dashboard/
 
 from __future__ import annotations
 
+import json
 import re
+from importlib.resources import files
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -18,12 +20,16 @@ if TYPE_CHECKING:
 
     View = tuple[tuple[str, str], ...]
 
+_DEFAULTS: dict[str, Any] = json.loads(
+    files("slamhive.dashboard").joinpath("static", "core", "defaults.json").read_bytes()
+)
+"""Choices that pages begin with, as they read them themselves."""
+
 API = "/api/v1"
 ANALYSIS = f"{API}/analysis"
-COMPETITORS = ("algorithm,sensors", "algorithm")
-VERSIONS = "algorithm,sensors,algorithm.version"
+*COMPETITORS, VERSIONS = (by for by, _ in _DEFAULTS["competitors"])
 ERROR = "ate.rmse"
-_LOADS = ("usage.cpu.secondsPerDataSecond", "usage.cpu.meanCores")
+_LOADS = (_DEFAULTS["cpu"]["unpaced"], _DEFAULTS["cpu"]["paced"])
 MEASURES = (
     *(ERROR, "usage.memory.peakBytes", "rpe[0].rmse", "coverage"),
     *("beside.online.ate.rmse", "metrics.latencySeconds.p95"),
@@ -44,23 +50,8 @@ MOST_CROSSED = 3
 
 _SETTINGS = frozenset({"parameters", "input", "resources"})
 _NUMBERS = frozenset({"number", "integer"})
-_SUBJECTS = ("algorithm", "sensors", "dataset")
-PAPER_TABLES = (
-    (
-        "sensors,algorithm,dataset",
-        "ate.rmse,usage.cpu.meanCores,usage.cpu.maxCores,usage.memory.peakBytes",
-        "dataset != 'rgbd-dataset-freiburg2-desk' and run not in (53, 103, 122)",
-    ),
-    (
-        "parameters.nFeatures",
-        "ate.rmse,rpe[0].rmse,usage.cpu.meanCores,usage.cpu.maxCores,usage.memory.peakBytes",
-        "dataset == 'rgbd-dataset-freiburg2-desk' and run not in (124, 139, 140)",
-    ),
-)
-"""The paper's tables, as core/questions.js has them."""
-
-_PLAYED = ("input.pace in ('Realtime', 'Stepped')", "beside.online.ate.rmse is not null")
-_FEATURES = re.compile(r"parameters\..*(n|num|max)_?features?", re.IGNORECASE)
+_SUBJECTS: list[str] = _DEFAULTS["subject"]
+_FEATURES = re.compile(_DEFAULTS["features"], re.IGNORECASE)
 
 
 class AskedColumns:
@@ -134,8 +125,7 @@ def general(names: Mapping[str, Sequence[str]]) -> Iterator[str]:
                 yield f"{API}/{kind}/{escaped(name)}/overview"
             if kind == "sweeps":
                 yield address(f"{API}/{kind}/{escaped(name)}/search")
-    yield from (f"{API}/evaluations", f"{ANALYSIS}/suspects", f"{ANALYSIS}/suspects/truth")
-    yield f"{ANALYSIS}/suspects/nodes"
+    yield f"{API}/evaluations"
 
 
 def views(columns: AskedColumns, sweeps: Sequence[str]) -> list[View]:
@@ -156,7 +146,8 @@ def of_view(view: View, columns: AskedColumns) -> Iterator[str]:
     for name in ("importance", "repeatability"):
         yield address(f"{ANALYSIS}/{name}", *view, ("metric", ERROR))
     of_sweep = bool(view) and view[0][0] == "sweep"
-    for name in ("robustness", "suspects", "suspects/nodes", *(["timeline"] if of_sweep or not view else [])):
+    suspects = ("suspects", "suspects/nodes", "suspects/truth")
+    for name in ("robustness", *suspects, *(["timeline"] if of_sweep or not view else [])):
         yield address(f"{ANALYSIS}/{name}", *view)
     yield address(f"{ANALYSIS}/versions", *view, ("metric", ERROR), tracked)
     if columns.rows <= MANY:
@@ -216,14 +207,15 @@ def _with_conditions(columns: AskedColumns) -> Iterator[str]:
         for metrics in (ERROR, ",".join([ERROR, *loads])):
             yield address(f"{ANALYSIS}/aggregate", *asked, ("metrics", metrics), ("outcomes", "tracked"))
     if "slam-hive" in columns.names("label.source"):
-        for by, metrics, where in PAPER_TABLES:
-            chosen = ("where", where), ("by", by), ("metrics", metrics), ("outcomes", "all")
+        for names in (one["settings"] for one in _DEFAULTS["papersTables"]):
+            chosen = ((name, names[name]) for name in ("where", "by", "metrics", "outcomes"))
             yield address(f"{ANALYSIS}/aggregate", *chosen)
 
 
 def conditions(columns: AskedColumns) -> list[str]:
     """Return the conditions that pages put by themselves, as they put them."""
-    found = [where for _, _, where in PAPER_TABLES] + ["superseded is not null", *_PLAYED]
+    found = [one["settings"]["where"] for one in _DEFAULTS["papersTables"]]
+    found += ["superseded is not null", *_DEFAULTS["played"]]
     found += [f"{_quoted(name)} is not null" for name in columns.features]
     return found + [f"tags contains '{tag}'" for tag in columns.tags]
 

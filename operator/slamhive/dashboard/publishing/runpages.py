@@ -6,7 +6,6 @@ A run that a site had before stays where it is, whether or not the source has it
 
 from __future__ import annotations
 
-import hashlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from slamhive.dashboard.problems import told
 from slamhive.model.errors import SlamHiveError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Mapping
 
     from slamhive.archive.records import CatalogEntry
     from slamhive.dashboard.publishing.asking import PublishedRuns
@@ -35,15 +34,24 @@ ALONE = 16_000
 EXACT = 1000
 """Runs up to which paths have every digit; of more they have 6, as points have."""
 
-POINTS = (50, 2000)
-"""Poses of a path, at least and at most: as the page of a run asks for, and as fit of many runs."""
+MOST_POINTS = 2000
+"""Poses of a path up to EXACT runs: as the page of a run asks for."""
+
+POINTS = (200, 100, 50)
+"""The same of more runs, the most that fit: few steps, so that a run more leaves the paths of others."""
 
 _POSES = 300_000
 """Poses of all paths together, of which each takes some 30 bytes."""
 
 _DIGITS = 6
-_SHORT = 12
 _AHEAD = 200
+
+
+def poses_of(count: int) -> tuple[int, bool]:
+    """Return the poses of a path on a site of so many runs, and whether they have every digit."""
+    if count <= EXACT:
+        return MOST_POINTS, True
+    return next((points for points in POINTS if points * count <= _POSES), POINTS[-1]), False
 
 
 class RunPages:
@@ -53,43 +61,50 @@ class RunPages:
         folder: the site's.
         source: where the runs are.
         snapshot: its data.
-        count: of runs there are.
+        marks: of the runs by UID, that differ where their pages do.
+        alike: what their pages have in common.
     """
 
-    def __init__(self, folder: SiteFolder, source: PublishedRuns, snapshot: Snapshot, count: int) -> None:
+    def __init__(
+        self,
+        folder: SiteFolder,
+        source: PublishedRuns,
+        snapshot: Snapshot,
+        marks: Mapping[str, str],
+        alike: one_run.RunsAlike,
+    ) -> None:
         self._folder = folder
         self._source: Any = source
         self._snapshot = snapshot
-        self._alike = one_run.RunsAlike()
+        self._marks = marks
+        self._alike = alike
         self._algorithms: list[CatalogEntry] = self._source.catalog("Algorithm")
         self._truths: dict[tuple[str, str | None], Any] = {}
-        self._exact = count <= EXACT
-        least, most = POINTS
-        self._points = most if self._exact else max(least, min(most, _POSES // max(1, count)))
+        self._points, self._exact = poses_of(len(marks))
 
-    def written(self, uids: Sequence[str], before: dict[str, Any] | None) -> dict[str, Any]:
-        """Write runs, and return which file has which.
+    def written(self, before: dict[str, Any] | None, *, lost: bool = False) -> dict[str, Any]:
+        """Write the runs whose marks are new, and return which file has which run.
 
         Args:
-            uids: of the runs.
             before: what this returned for the site as it was.
+            lost: whether files were lost from the site, perhaps ones that pages lead to.
         """
         places: dict[str, tuple[str, str]] = {}
+        broken: set[str] = set()
         if before:
             files, at, marks = before["files"], before["at"], before["marks"]
-            places = {uid: (files[n], mark) for uid, n, mark in zip(before["uids"], at, marks, strict=True)}
-        news: dict[str, Any] = {}
-        for at, uid in enumerate(uids):
-            if at % _AHEAD == 0:
-                self._source.ahead(uids[at : at + _AHEAD])
-            page = self._page(uid)
-            mark = hashlib.sha256(encode_json(page)).hexdigest()[:_SHORT]
-            if places.get(uid, ("", ""))[1] != mark:
-                news[uid] = page
-                places[uid] = ("", mark)
-                if len(news) == TOGETHER:
-                    self._keep(news, places)
-        self._keep(news, places)
+            there = [self._folder.place(name).exists() for name in files]
+            rows = zip(before["uids"], at, marks, strict=True)
+            places = {uid: (files[n], mark) for uid, n, mark in rows if there[n]}
+            broken = {name for name in files if lost and not self._is_whole(name)}
+        same = {uid: mark for uid, (file, mark) in places.items() if file not in broken}
+        changed = [uid for uid, mark in self._marks.items() if same.get(uid) != mark]
+        for start in range(0, len(changed), TOGETHER):
+            some = changed[start : start + TOGETHER]
+            if start % _AHEAD == 0:
+                self._source.ahead(changed[start : start + _AHEAD])
+            file = self._folder.keep({uid: self._page(uid) for uid in some})
+            places |= {uid: (file, self._marks[uid]) for uid in some}
         files = list(dict.fromkeys(file for file, _ in places.values()))
         numbers = {file: number for number, file in enumerate(files)}
         return {
@@ -99,11 +114,10 @@ class RunPages:
             "files": files,
         }
 
-    def _keep(self, news: dict[str, Any], places: dict[str, tuple[str, str]]) -> None:
-        if news:
-            file = self._folder.keep(news)
-            places.update({uid: (file, places[uid][1]) for uid in news})
-            news.clear()
+    def _is_whole(self, name: str) -> bool:
+        """Tell whether a file is there, with those that it leads to."""
+        there = self._folder.place(name).exists()
+        return there and all(map(self._is_whole, set(_led_to(self._folder.read(name)))))
 
     def _page(self, uid: str) -> dict[str, Any]:
         """Return all answers on a run, by the ends of their addresses."""
@@ -146,6 +160,15 @@ class RunPages:
             answer = answer | {"reference": {"file": self._folder.keep(answer["reference"])}}
         content = encode_json(answer)
         return {"file": self._folder.keep_text(content)} if len(content) > ALONE else answer
+
+
+def _led_to(value: Any) -> Iterator[str]:
+    """Go through the files that stand in the place of long answers."""
+    if isinstance(value, dict):
+        if isinstance(name := value.get("file"), str) and len(value) == 1:
+            yield name
+        for one in value.values():
+            yield from _led_to(one)
 
 
 def _short(value: Any) -> Any:

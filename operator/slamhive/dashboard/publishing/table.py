@@ -81,7 +81,7 @@ def _met(folder: SiteFolder, frame: Frame, conditions: Sequence[str]) -> Iterato
 def _is_shown(column: Column, name: str) -> bool:
     """Tell whether a table shows a column: what is no word or number, and hashes, are on the runs' pages."""
     if column.kind is ColumnKind.OTHER and name not in _LISTS:
-        return False
+        return not any(isinstance(one, list | dict) for one in column.values)
     told = column.kind is ColumnKind.TEXT and name not in _NAMES
     return not told or len(column) < _FEW or len(column.factorized()[1]) <= len(column) // 2
 

@@ -19,6 +19,7 @@ from slamhive.dashboard.server.events import MAX_LISTENERS, Events
 from slamhive.dashboard.server.pages import Pages, docs_page
 from slamhive.dashboard.server.security import Shield
 from slamhive.dashboard.server.service import Service
+from slamhive.model.base import explain
 from slamhive.model.errors import InputError, SystemFault
 from slamhive.runfiles.errors import RunFileError
 
@@ -116,8 +117,7 @@ def _answer_problems(app: FastAPI) -> None:
     async def invalid(_: Request, error: RequestValidationError) -> Response:
         first = error.errors()[0]
         field = str(first["loc"][-1])
-        sentence = f"{field}: {first['msg'][:1].lower()}{first['msg'][1:]}"
-        return _json({"error": sentence, "field": field}, 400)
+        return _json({"error": f"{field}: {explain(first)}", "field": field}, 400)
 
     @app.exception_handler(Exception)
     async def mistake(_: Request, error: Exception) -> Response:

@@ -51,14 +51,10 @@ class Page:
 
 
 class Pages:
-    """The files of a folder, read once.
+    """The files of the package, read once."""
 
-    Args:
-        folder: where they are; default: the package's own.
-    """
-
-    def __init__(self, folder: Traversable | None = None) -> None:
-        self._folder = files("slamhive.dashboard").joinpath("static") if folder is None else folder
+    def __init__(self) -> None:
+        self._folder = files("slamhive.dashboard").joinpath("static")
         self._read: dict[str, Page] = {}
 
     def answer(self, request: Request) -> Response:

@@ -98,12 +98,7 @@ async def runs(
 
 
 @routes.get("/columns", summary="Columns that there are, with their ranges and values")
-async def columns_(
-    request: Request,
-    filters: Filters,
-    *,
-    columns: Names = None,
-) -> Response:
+async def columns_(request: Request, filters: Filters, *, columns: Names = None) -> Response:
     """Describe columns over the rows that the filters mean."""
     return await service_of(request).answer(
         request, lambda data: many_runs.columns_list(data, filters, columns)

@@ -56,9 +56,7 @@ async def sweep(
     """Return a sweep; several may have one name in different namespaces."""
     service = service_of(request)
     return await service.answer_with(
-        request,
-        service.asked_for,
-        lambda data, stored: sweeps_answer.sweep(data, stored, name, namespace),
+        request, service.asked_for, lambda data, stored: sweeps_answer.sweep(data, stored, name, namespace)
     )
 
 
@@ -151,9 +149,7 @@ async def manifest(request: Request, uid: Name) -> Response:
 
 
 @routes.get(
-    "/runs/{uid}/trajectory",
-    summary="Aligned path over its ground truth, with errors",
-    dependencies=FORMATS,
+    "/runs/{uid}/trajectory", summary="Aligned path over its ground truth, with errors", dependencies=FORMATS
 )
 async def trajectory(
     request: Request,
@@ -174,12 +170,7 @@ async def trajectory(
 
 
 @routes.get("/runs/{uid}/usage", summary="CPU and memory over time", dependencies=FORMATS)
-async def usage(
-    request: Request,
-    uid: Name,
-    *,
-    points: Most = 2000,
-) -> Response:
+async def usage(request: Request, uid: Name, *, points: Most = 2000) -> Response:
     """Of each stretch the mean load and the largest memory."""
     service = service_of(request)
     return await service.answer_with(

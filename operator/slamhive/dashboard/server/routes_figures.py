@@ -69,11 +69,7 @@ async def surface(
 
 @routes.get("/analysis/slices", summary="A figure over each setting that varies")
 async def slices(
-    request: Request,
-    filters: Filters,
-    *,
-    metric: Metric = ERROR,
-    outcomes: Which = "tracked",
+    request: Request, filters: Filters, *, metric: Metric = ERROR, outcomes: Which = "tracked"
 ) -> Response:
     """Quartiles for each value, whatever the other settings are, failed runs last."""
     return await service_of(request).answer(

@@ -67,12 +67,7 @@ async def pareto(
 
 
 @routes.get("/importance", summary="Which settings matter")
-async def importance(
-    request: Request,
-    filters: Filters,
-    *,
-    metric: Metric = ERROR,
-) -> Response:
+async def importance(request: Request, filters: Filters, *, metric: Metric = ERROR) -> Response:
     """Share of the variance of the logarithm that each setting explains; runs of searches left out."""
     return await service_of(request).answer(request, lambda data: studies.influences(data, filters, metric))
 
@@ -103,12 +98,7 @@ async def robustness(
 
 
 @routes.get("/repeatability", summary="Repetitions of each configuration")
-async def repeatability(
-    request: Request,
-    filters: Filters,
-    *,
-    metric: Metric = ERROR,
-) -> Response:
+async def repeatability(request: Request, filters: Filters, *, metric: Metric = ERROR) -> Response:
     """Equal trajectories count once."""
     return await service_of(request).answer(request, lambda data: studies.repeated(data, filters, metric))
 
@@ -131,11 +121,7 @@ async def versions(
 
 @routes.get("/common", summary="Runs of a dataset measured again where all of them have poses")
 async def common(
-    request: Request,
-    filters: Filters,
-    *,
-    by: Names = None,
-    outcomes: Which = "all",
+    request: Request, filters: Filters, *, by: Names = None, outcomes: Which = "all"
 ) -> Response:
     """Errors over the runs' own and over their common support, from their trajectories."""
     return await service_of(request).answer_of_files(
@@ -144,28 +130,19 @@ async def common(
 
 
 @routes.get("/suspects", summary="Scales that are off by the same factor in all runs")
-async def suspects(
-    request: Request,
-    filters: Filters,
-) -> Response:
+async def suspects(request: Request, filters: Filters) -> Response:
     """Such a scale is the calibration's, not the algorithm's."""
     return await service_of(request).answer(request, lambda data: studies.suspicions(data, filters))
 
 
 @routes.get("/suspects/nodes", summary="Nodes that need more CPU time than others of their kind")
-async def suspects_of_nodes(
-    request: Request,
-    filters: Filters,
-) -> Response:
+async def suspects_of_nodes(request: Request, filters: Filters) -> Response:
     """Ratios of nodes' CPU time for equal runs, with an interval that holds for all of them together."""
     return await service_of(request).answer(request, lambda data: studies.slow_nodes(data, filters))
 
 
 @routes.get("/suspects/truth", summary="Stretches of ground truth that runs contradict together")
-async def suspects_of_truth(
-    request: Request,
-    filters: Filters,
-) -> Response:
+async def suspects_of_truth(request: Request, filters: Filters) -> Response:
     """Stretches in which three algorithms or more agree with each other and not with the truth."""
     return await service_of(request).answer_of_files(
         request, lambda data: truth_suspects.meant(data, filters), truth_suspects.suspicious_truths
@@ -173,10 +150,7 @@ async def suspects_of_truth(
 
 
 @routes.get("/published", summary="Published numbers on the datasets of runs")
-async def published(
-    request: Request,
-    filters: Filters,
-) -> Response:
+async def published(request: Request, filters: Filters) -> Response:
     """Shown beside own runs, never averaged with them; with why own numbers may differ."""
     service = service_of(request)
     home = service.source.home()

@@ -20,6 +20,7 @@ from starlette.responses import StreamingResponse
 
 from slamhive import __version__
 from slamhive.analysis.searches.robustness import searches_of
+from slamhive.analysis.selection import find_repeated
 from slamhive.dashboard.answering.encoding import (
     TYPES,
     Body,
@@ -212,6 +213,7 @@ class Service:
             client = client_of(request)
             if little is not None and little(snapshot):
                 return await self.workers.compute_inside(work, client)
+            await self.run(partial(find_repeated, snapshot.frame))  # once for all workers of this state
             return await self.workers.compute(work, client, len(snapshot.frame))
 
         key = (snapshot.revision, request.url.path, request.url.query, form)

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import secrets
 import threading
 import time
@@ -18,7 +19,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 from slamhive.analysis.frame import Frame
 from slamhive.archive import Archive
 from slamhive.archive.connection import connect, file_of, reading, require_version
+from slamhive.archive.digests import ArchiveDigests
 from slamhive.dashboard.problems import SourceUnavailable
+from slamhive.dashboard.sources.looks import HomeLooks
 from slamhive.dashboard.sources.underway import UnderWay
 from slamhive.model.errors import SlamHiveError
 from slamhive.model.leftout import sentences
@@ -52,7 +55,10 @@ KEEP_SECONDS = (3.0, 600.0)
 _REST = 4.0
 """After a look that found changes, the next one waits so many times its duration."""
 
+_LONG_SECONDS, _REST_OF_ALL = 1.0, 20.0
+"""After a look through all runs that took so long, others find new runs alone for so many times that, s."""
 
+_BEHIND = "the archive is large: removed and edited runs are shown as they were for up to {} min"
 _CLOSE_SECONDS = 2.0
 _LATE = "the archive does not answer at present: its last state is shown"
 
@@ -146,7 +152,9 @@ class ArchiveData:
         self._mark: object = None
         self._nonce = secrets.token_hex(4)
         self._count = 0
-        self._next_look = 0.0
+        self._next_look = self._next_of_all = 0.0
+        self._owes_all = False
+        self._rest_of_all = 0.0
         self._late = False
         self._again = False
         self._loaded = Loaded()
@@ -190,7 +198,8 @@ class ArchiveData:
     @property
     def said(self) -> tuple[str, ...]:
         """Return sentences on the database's present trouble, and on what of it can't be read."""
-        trouble = self.problem or (_LATE if self._late else None)
+        behind = _BEHIND.format(math.ceil(self._rest_of_all / 60)) if self._owes_all else None
+        trouble = self.problem or (_LATE if self._late else behind)
         return (*((trouble,) if trouble else ()), *sentences(self._loaded.left_out))
 
     async def follow(self, executor: Executor | None, *, again: bool = False) -> None:
@@ -282,13 +291,15 @@ class ArchiveData:
                 return changed
             self._engine = connect(self._url, read_only=True, held=True)
             self._held = self._engine.connect()
-            self._mark = None
+            self._mark, self._next_of_all = None, 0.0  # after an absence it may be another archive
         if self._held is None:
             raise SourceUnavailable("the archive was closed")
         with reading(self._engine) as connection:
             require_version(connection)
             mark = change_mark(self._engine, self._held)
-        if mark == self._mark and self.loaded_once:
+        begun = self._clock()
+        newer = self.loaded_once and begun < self._next_of_all
+        if mark == self._mark and self.loaded_once and (newer or not self._owes_all):
             return self.problem is not None
         stamp = None
         if not self.loaded_once and self._cache is not None:
@@ -296,7 +307,11 @@ class ArchiveData:
             self._loaded = self._saved or self._loaded
             # Taken after the mark: what is written from here on is met at the next look.
             stamp = snapshots.stamp_of(self._url)
-        self._loaded = load(self._engine, self._loaded, stamp)
+        self._loaded = load(self._engine, self._loaded, stamp, newer=newer)
+        self._owes_all = newer
+        if not newer and (took := self._clock() - begun) > _LONG_SECONDS:
+            self._rest_of_all = _REST_OF_ALL * took
+            self._next_of_all = begun + took + self._rest_of_all
         self._frame = self._loaded.frame.without(["folder"])
         self._mark = mark
         self.loaded_once = True
@@ -330,6 +345,7 @@ class Workstation:
         *,
         cache: Path | None = None,
     ) -> None:
+        self._url = url
         self._data = ArchiveData(url, cache or (home / "cache" if home is not None else None))
         self._under_way = UnderWay(home)
         self._home = home
@@ -371,6 +387,13 @@ class Workstation:
     def records(self, uids: Iterable[str]) -> list[RunRecord]:
         """Return some runs by their UIDs, at a tenth of what one by one takes."""
         return [] if self._data.is_absent else list(self._data.archive().by_uids(uids))
+
+    def looks(self) -> HomeLooks:
+        """Return the looks that runs have now, read by a connection of its own."""
+        if _is_missing(self._url):
+            return HomeLooks(ArchiveDigests(), self._files)
+        with Archive.open(self._url, read_only=True) as archive:
+            return HomeLooks(archive.digests(), self._files)
 
     def sweeps(self) -> list[SweepRecord]:
         """Return the sweeps in the archive."""

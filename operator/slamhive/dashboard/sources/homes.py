@@ -7,8 +7,11 @@ import asyncio
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from slamhive.archive.digests import ArchiveDigests
 from slamhive.dashboard.sources.archived import Snapshot, Workstation
+from slamhive.dashboard.sources.looks import HomeLooks, HomesLooks
 from slamhive.model.errors import SlamHiveError
+from slamhive.runfiles.homefiles import HomeFiles
 from slamhive.tables.homes import COLUMN, OWN, plain_name, together, told_name, uid_in
 
 if TYPE_CHECKING:
@@ -112,11 +115,30 @@ class Homes:
         """Say that this is a workstation, and whose homes are shown."""
         return self._stations[OWN].describe() | {"homes": list(self._stations)}
 
-    def record(self, uid: str) -> RunRecord | None:
-        """Return a run by its UID, with the names that it has here."""
+    def _whose(self, uid: str) -> tuple[str, str]:
+        """Return the label of a run's home, and its UID there."""
         plain, _ = uid_in(uid, self._stations)
         label = self._label(uid)
-        record = self._stations[label].record(plain if label != OWN else uid)
+        return label, plain if label != OWN else uid
+
+    def looks(self) -> HomesLooks:
+        """Return the looks that the runs of all homes have now; of one that does not answer none is known."""
+        held = {label: self._looks_in(label) for label in self._stations}
+        return HomesLooks(held, self._whose)
+
+    def _looks_in(self, label: str) -> HomeLooks:
+        station = self._stations[label]
+        try:
+            return station.looks()
+        except SlamHiveError:
+            if label == OWN:
+                raise
+            return HomeLooks(ArchiveDigests(), HomeFiles(None))
+
+    def record(self, uid: str) -> RunRecord | None:
+        """Return a run by its UID, with the names that it has here."""
+        label, plain = self._whose(uid)
+        record = self._stations[label].record(plain)
         row = self._rows.get(uid)
         if record is None or row is None:
             return record

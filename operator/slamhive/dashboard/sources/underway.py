@@ -19,7 +19,6 @@ from slamhive.runfiles.artifacts import ArtifactFolder
 from slamhive.runfiles.clocks import configuration_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from concurrent.futures import Executor
     from pathlib import Path
 
@@ -33,17 +32,15 @@ class UnderWay:
 
     Args:
         home: the home; None for none.
-        clock: monotonic time, s.
 
     Attributes:
         sweeps: the sweeps at work by (namespace, name), as a snapshot has live ones.
         runs: what is known of each run at work, a document in the names of the table of runs.
     """
 
-    def __init__(self, home: Path | None, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, home: Path | None) -> None:
         self._runs = home / "runs" if home is not None else None
-        self._clock = clock
-        self._next = clock()
+        self._next = time.monotonic()
         self.sweeps: dict[tuple[str, str], dict[str, Any]] = {}
         self._changes = 0
         self.runs: tuple[dict[str, Any], ...] = ()
@@ -55,11 +52,11 @@ class UnderWay:
 
     async def follow(self, executor: Executor | None) -> None:
         """Look for them in a thread if the last look was a while ago."""
-        if self._runs is not None and self._clock() >= self._next:
+        if self._runs is not None and time.monotonic() >= self._next:
             await asyncio.get_running_loop().run_in_executor(executor, self._look, self._runs)
 
     def _look(self, runs: Path) -> None:
-        self._next = self._clock() + LOOK_SECONDS
+        self._next = time.monotonic() + LOOK_SECONDS
         found = tuple(_told(runs, sweep, run) for sweep, run in sorted(runs_under_way(runs)))
         if found != self.runs:
             counts = Counter(str(told["sweep"]) for told in found)

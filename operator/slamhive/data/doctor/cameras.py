@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.data.doctor.findings import Finding, Severity, sensor_repair
-from slamhive.data.doctor.pictures import Pictures
 from slamhive.data.recordings.posetopics import relative_pose, static_tree
 from slamhive.data.recordings.streams import camera_info_topic
 from slamhive.model.sensors import Role, SensorType
@@ -26,8 +25,6 @@ APART = 0.003
 _NOTED = 0.0005
 _STEADY = 0.001
 """Spread of a pair's offset, s, below which it is one of stamps rather than of exposures."""
-_MOVED = 1e-3
-"""Metres between two images that a camera at rest doesn't move by."""
 _COEFFICIENTS = 5
 
 
@@ -37,7 +34,6 @@ def judge_cameras(examined: Examined) -> Iterator[Finding]:
     for name in examined.watched.watchers:
         if sensors[name].type in {SensorType.CAMERA, SensorType.DEPTH_CAMERA}:
             yield from calibration_findings(examined.recording, name, sensors[name])
-    yield from _repeated(examined)
     yield from _stereo(examined)
     yield from _registered(examined)
 
@@ -118,40 +114,6 @@ def _lens(stated: Any) -> tuple[Any, Any]:
 
 def _warning(name: str, said: str) -> Finding:
     return Finding("camera.intrinsics", Severity.WARNING, f"sensors.{name}.camera{said}", name)
-
-
-def _repeated(examined: Examined) -> Iterator[Finding]:
-    """Yield images that are the one before them again, but for those taken at rest by the ground truth."""
-    for name, watchers in examined.watched.watchers.items():
-        pictures = next((one for one in watchers if isinstance(one, Pictures)), None)
-        if pictures is None or not pictures.repeated:
-            continue
-        of, truth = pictures.of, examined.truth
-        moving = pictures.repeated
-        if truth is not None and len(truth) > 1:
-            # A simulator without noise gives the same image as long as nothing moves.
-            period = 1 / (of.sensor.rate or 10.0)
-            times = np.array([of.seconds(stamp) for _, stamp in moving])[:, None] + [-period, 0.0]
-            places = np.stack([np.interp(times, truth.stamps, axis) for axis in truth.positions.T])
-            moved = np.linalg.norm(np.diff(places, axis=2), axis=0)[:, 0]
-            moving = [pair for pair, far in zip(moving, moved, strict=True) if far > _MOVED]
-        if not moving:
-            continue
-        repeated = [of.seconds(stamp) for _, stamp in moving]
-        share = len(repeated) / max(1, of.messages)
-        yield Finding(
-            "images.duplicate",
-            Severity.WARNING,
-            f"{of.where}: {len(repeated)} images ({share:.1%}) on {of.sensor.topic} are the one before them "
-            f"again under another stamp, the first at {repeated[0]:.3f} s: a picture of another instant than "
-            "its stamp bends every visual path; leave them out",
-            name,
-            len(repeated),
-            repeated[0],
-            100 * share,
-            "%",
-            repair=sensor_repair(name, drop=[index for index, _ in moving]) if len(moving) <= 10_000 else {},
-        )
 
 
 def _stereo(examined: Examined) -> Iterator[Finding]:

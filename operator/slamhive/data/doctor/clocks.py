@@ -102,4 +102,6 @@ def cause_of(ahead: float, first: float, right: float) -> tuple[float, str]:
         return 3600.0 * hours, f", which is {abs(hours):g} h, a time zone"
     if abs(first) < _BOOT_SECONDS and right > _UNIX_SECONDS:
         return round(ahead, 3), ": they count from the sensor's start"
+    if abs(right) < _BOOT_SECONDS and first > _UNIX_SECONDS:
+        return round(ahead, 3), ": the others count from a sensor's start"
     return round(ahead, 3), ""

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from slamhive.data.doctor.watching import WatchedRecording
     from slamhive.data.recordings.entries import DatasetEntry
     from slamhive.data.recordings.reading import Recording
@@ -23,6 +25,7 @@ class Examined:
         watched: The times of its messages, and the watchers.
         truth: Its ground truth; None where it has no poses, or can't be read.
         is_sample: Whether no more than some messages of each sensor have passed.
+        progress: Called with the name of a sensor whose frames are looked at again, and the share done.
     """
 
     entry: DatasetEntry
@@ -30,3 +33,4 @@ class Examined:
     watched: WatchedRecording
     truth: Trajectory | None
     is_sample: bool = False
+    progress: Callable[[str, float], None] = lambda *_: None

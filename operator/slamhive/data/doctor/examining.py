@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from slamhive.data.doctor import clocks
@@ -16,10 +17,12 @@ from slamhive.data.doctor.offsets import judge_turning
 from slamhive.data.doctor.pictures import Pictures
 from slamhive.data.doctor.points import ScanPoints
 from slamhive.data.doctor.pointtimes import ScanTimes
+from slamhive.data.doctor.repeats import judge_repeats
 from slamhive.data.doctor.sampling import SAMPLED, of_sample, sampled
 from slamhive.data.doctor.stamps import judge_stamps
 from slamhive.data.doctor.truthrows import judge_truth_rows
 from slamhive.data.doctor.truths import judge_truth
+from slamhive.data.doctor.voting import SEEING
 from slamhive.data.doctor.watching import WatchedSensor, watch
 from slamhive.model.sensors import SensorType
 
@@ -47,6 +50,7 @@ BETWEEN: tuple[Callable[[Examined], Iterable[Finding]], ...] = (
     judge_static_transforms,
     clocks.epochs,
     judge_cameras,
+    judge_repeats,
     judge_truth,
     judge_stamps,
     judge_imus,
@@ -56,7 +60,9 @@ BETWEEN: tuple[Callable[[Examined], Iterable[Finding]], ...] = (
 )
 """Judgements between sensors, between them and the truth, and of the recording's files."""
 
-OF_SAMPLES = frozenset({judge_files, judge_static_transforms, clocks.epochs, judge_cameras, judge_imus})
+OF_SAMPLES = frozenset(
+    {judge_files, judge_static_transforms, clocks.epochs, judge_cameras, judge_repeats, judge_imus}
+)
 """Those of them that a sample is enough for."""
 
 
@@ -65,7 +71,7 @@ def examine(
     recording: Recording,
     sensors: Mapping[str, Sensor],
     truth: Trajectory | None,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[str, float | None], None] = lambda *_: None,
     *,
     quick: bool = False,
 ) -> tuple[WatchedRecording, list[Finding]]:
@@ -76,7 +82,8 @@ def examine(
         recording: Its open recording.
         sensors: Its sensors whose topics are there.
         truth: Its ground truth, where it has poses.
-        progress: Called with the share read, 0 to 1.
+        progress: Called with what is being done, a step of how many, and the share of it done, 0 to 1; None
+            where that isn't known.
         quick: Whether a sample of the messages is read, some of each sensor, in seconds.
 
     Raises:
@@ -94,9 +101,23 @@ def examine(
     }
     topics = {name: sensor.topic for name, sensor in sensors.items()}
     messages = sampled(recording, sensors) if quick else None
-    watched = watch(recording, watchers, topics, progress, messages)
+    turned = {name: f"how {name} turned" for name, sensor in sensors.items() if sensor.type in SEEING}
+    steps = ["reading", "judging", *turned.values()]
+
+    def tell(step: str, share: float | None) -> None:
+        progress(f"step {steps.index(step) + 1} of {len(steps)}, {step}", share)
+
+    watched = watch(recording, watchers, topics, partial(tell, "reading"), messages)
+    tell("judging", None)
     found = [finding for ones in watchers.values() for one in ones for finding in one.findings()]
-    examined = Examined(entry, recording, watched, truth, is_sample=quick)
+    examined = Examined(
+        entry,
+        recording,
+        watched,
+        truth,
+        is_sample=quick,
+        progress=lambda name, share: tell(turned[name], share),
+    )
     judges = [judge for judge in BETWEEN if not quick or judge in OF_SAMPLES]
     found += [finding for judge in judges for finding in judge(examined)]
     return watched, [*of_sample(found)] if quick else found

@@ -11,25 +11,28 @@ import numpy as np
 from pydantic.alias_generators import to_camel
 
 from slamhive.data.doctor.findings import Finding, Severity, sensor_repair
+from slamhive.data.doctor.matching import is_mirrored
 from slamhive.data.doctor.noise import noise_at_rest
 from slamhive.data.doctor.ratescales import DEGREE, IntegratedTurns
+from slamhive.data.doctor.turning import gyro_turning, turning_of
 from slamhive.data.doctor.watching import MessageWatcher
 from slamhive.data.recordings.checks import stamp_fault
 from slamhive.data.recordings.kinds import IMU
-from slamhive.data.recordings.repairing import IMU_FORCE, IMU_NUMBERS, IMU_RATE
+from slamhive.data.recordings.repairing import FORCES, IMU_FORCE, IMU_NUMBERS, IMU_RATE
 from slamhive.model.dataset import modes_with, sensor_for
 from slamhive.model.errors import DataError
 from slamhive.model.repair import MOST_DROPPED
 from slamhive.model.sensors import ROLES, Role, SensorMode
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Collection, Iterable, Iterator, Mapping
 
     import numpy.typing as npt
 
     from slamhive.data.doctor.examined import Examined
     from slamhive.data.doctor.watching import PassingMessage, WatchedSensor
     from slamhive.data.recordings.reading import Recording
+    from slamhive_eval import Trajectory
 
     Array = npt.NDArray[np.float64]
     Numbers = npt.NDArray[np.floating[Any]]
@@ -63,6 +66,7 @@ class Samples(MessageWatcher):
         self._numbers = bytearray()
         self._pieces: list[npt.NDArray[np.float32]] = []
         self._order = "<"
+        self._scale: tuple[float, str] | None = None
 
     def take(self, message: PassingMessage) -> None:
         """Take in a sample."""
@@ -98,6 +102,38 @@ class Samples(MessageWatcher):
             self._put_away()
             self._pieces = [np.concatenate(self._pieces)]
         return self._pieces[0][:, :3], self._pieces[0][:, 3:]
+
+    def sound(self) -> tuple[Array, Numbers, Numbers]:
+        """Return sensor times, s, rates and forces of the samples whose numbers are finite."""
+        times, (rates, forces) = self.stamps / 1e9 + self.of.sensor.time_offset, self.rates_and_forces()
+        sound = _are_finite(rates, forces)
+        return (times, rates, forces) if sound.all() else (times[sound], rates[sound], forces[sound])
+
+    def scale_of_rates(self, truth: Trajectory | None) -> tuple[float, str]:
+        """Return the factor that the turning rates need, and what tells of it; 1 where nothing does.
+
+        Negative is that of rates of the wrong sign.
+        """
+        if self._scale is None:
+            self._scale = self._told_scale(truth)
+        return self._scale
+
+    def _told_scale(self, truth: Trajectory | None) -> tuple[float, str]:
+        times, rates, forces = self.sound()
+        is_whole = has_halves(rates, forces) == (True, True) and len(times) > 1
+        if not is_whole or stamp_fault(self.stamps) is not None:
+            return 1.0, ""
+        turns = IntegratedTurns(times, rates, forces)
+        scale, by = turns.scale_by_gravity(), "the way that gravity turns in its axes"
+        if scale is None and truth is not None:
+            scale, by = turns.scale_by_truth(truth), "how far the ground truth turns"
+            offset, true = self.of.sensor.time_offset, turning_of(truth)
+            turned = gyro_turning(self.stamps, self.rates_and_forces()[0], offset)
+            if turned is not None and true is not None and is_mirrored(turned, true.turns()):
+                scale, by = -(scale or 1.0), "how the ground truth turns"
+        if scale is None and np.percentile(np.linalg.norm(rates, axis=1), 95) > _ABSURD:
+            scale, by = DEGREE, "their size, as nothing that maps turns so fast for so long"
+        return (1.0 if scale is None else scale), by
 
 
 def force_findings(name: str, forces: Numbers) -> Iterator[Finding]:
@@ -146,20 +182,42 @@ def _says(table: Numbers) -> bool:
 
 
 def first_samples(recording: Recording, topic: str) -> tuple[Array, Array]:
-    """Return the turning rates and forces of a topic's first samples of an Imu, each of shape (n, 3).
+    """Return the turning rates and forces of a topic's first samples, each of shape (n, 3).
+
+    Messages other than Imu hold forces alone; their rates are 0.
 
     Raises:
         DataError: The recording is damaged.
     """
-    rows = []
+    rows: list[tuple[float, ...]] = []
     for connection, _, raw in recording.messages({topic}):
         message = recording.decode(raw, connection.msgtype)
-        rate, force = message.angular_velocity, message.linear_acceleration
-        rows.append((rate.x, rate.y, rate.z, force.x, force.y, force.z))
+        force, rate = FORCES[connection.msgtype](message), getattr(message, "angular_velocity", None)
+        turn = (rate.x, rate.y, rate.z) if rate is not None else (0.0, 0.0, 0.0)
+        rows.append((*turn, force.x, force.y, force.z))
         if len(rows) == _FIRST:
             break
     table = np.array(rows, dtype=np.float64).reshape(-1, 6)
     return table[:, :3], table[:, 3:]
+
+
+def forces_alone(recording: Recording, known: Collection[str]) -> Iterator[str]:
+    """Yield the topics of specific forces alone: of Imu, and of vectors that are as long as gravity.
+
+    Args:
+        recording: The recording.
+        known: Topics that are left out.
+    """
+    for topic in recording.topics.values():
+        if topic.message_type not in FORCES or not topic.count or topic.name in known:
+            continue
+        rates, forces = first_samples(recording, topic.name)
+        if has_halves(rates, forces) != (False, True):
+            continue
+        lengths = np.linalg.norm(forces[_are_finite(forces)], axis=1)
+        typical = float(np.median(lengths)) / _GRAVITY if lengths.size else 0.0
+        if topic.message_type == IMU or _AROUND[0] < typical < _AROUND[1]:
+            yield topic.name
 
 
 def other_half(topic: str, others: Iterable[str]) -> str | None:
@@ -191,8 +249,8 @@ class _ImuJudge:
         self.spec = examined.entry.dataset.spec
         self.sensor = self.spec.sensors[name]
         self.where = f"sensors.{name}"
-        mine = samples[name]
-        self.stamps, (self.rates, self.forces) = mine.stamps, mine.rates_and_forces()
+        self.mine = samples[name]
+        self.stamps, (self.rates, self.forces) = self.mine.stamps, self.mine.rates_and_forces()
         self.modes = [
             mode for mode in modes_with(name, self.spec.sensors) if Role.IMU in ROLES[SensorMode(mode)]
         ]
@@ -211,9 +269,8 @@ class _ImuJudge:
             yield from self._half(turns=turns, pushes=pushes)
         else:
             yield from self._unreal()
-            is_judged = is_ordered and np.count_nonzero(_are_finite(self.rates, self.forces)) > 1
-            units += self._rate_unit() if is_judged else ()
-            if is_judged and not units:
+            units += self._rate_scale()
+            if is_ordered and not units and len(self.mine.sound()[0]) > 1:
                 yield from self._noise()
         yield from units
         if is_ordered:
@@ -269,46 +326,31 @@ class _ImuJudge:
         for one in self.samples.values():
             if has_halves(*one.rates_and_forces()) == (False, True):
                 yield one.of.sensor.topic
-        for topic in recording.topics.values():
-            if topic.message_type != IMU or not topic.count or topic.name in known:
-                continue
-            if has_halves(*first_samples(recording, topic.name)) == (False, True):
-                yield topic.name
+        yield from forces_alone(recording, known)
 
-    def _rate_unit(self) -> Iterator[Finding]:
-        times, rates, forces = self._sound()
-        lengths = np.linalg.norm(rates, axis=1)
-        fast = float(np.percentile(lengths, 95))
-        turns = IntegratedTurns(times, rates, forces)
-        truth = self.examined.truth
-        scale, by = turns.scale_by_gravity(), "the way that gravity turns in its axes"
-        if scale is None and truth is not None:
-            scale, by = turns.scale_by_truth(truth), "how far the ground truth turns"
-        if scale is None and fast > _ABSURD:
-            scale, by = DEGREE, "their size, as nothing that maps turns so fast for so long"
-        if scale is None or scale == 1.0:
+    def _rate_scale(self) -> Iterator[Finding]:
+        scale, by = self.mine.scale_of_rates(self.examined.truth)
+        if scale == 1.0:
             return
-        unit = "deg/s" if scale == DEGREE else "radians taken for degrees"
+        fast = float(np.percentile(np.linalg.norm(self.mine.sound()[1], axis=1), 95))
+        code, looks, harm = "imu.sign", "are of the wrong sign", "turn the other way than"
+        if abs(scale) != 1.0:
+            code = "imu.units"
+            looks = f"look like {'deg/s' if abs(scale) == DEGREE else 'radians taken for degrees'}"
+            looks += " of the wrong sign" if scale < 0 else ""
+            harm = f"turn {1 / scale:.3g} times as far as"
         yield self.found(
-            "imu.units", Severity.WARNING,
-            f"the turning rates, {fast:.3g} rad/s in one of twenty samples, look like {unit} by {by}: "
-            f"inertial algorithms turn {1 / scale:.3g} times as far as the sensor did",
+            code, Severity.WARNING,
+            f"the turning rates, {fast:.3g} rad/s in one of twenty samples, {looks} by {by}: "
+            f"inertial algorithms {harm} the sensor did",
             count=len(self.stamps), value=fast, unit="rad/s",
             repair=sensor_repair(self.name, rateScale=round(scale, 7)),
         )  # fmt: skip
 
-    def _sound(self) -> tuple[Array, Numbers, Numbers]:
-        """Return sensor times, s, rates and forces of the samples whose numbers are finite."""
-        times = self.stamps / 1e9 + self.sensor.time_offset
-        sound = _are_finite(self.rates, self.forces)
-        if sound.all():
-            return times, self.rates, self.forces
-        return times[sound], self.rates[sound], self.forces[sound]
-
     def _noise(self) -> Iterator[Finding]:
         """Yield the finding of a noise at rest that is far from the stated one."""
         imu = self.sensor.imu
-        rest = noise_at_rest(*self._sound(), self.examined.truth) if imu else None
+        rest = noise_at_rest(*self.mine.sound(), self.examined.truth) if imu else None
         if rest is None or imu is None:
             return
         for field, what, unit, found in (

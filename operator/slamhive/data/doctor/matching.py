@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from slamhive.data.doctor.turning import cross_of, exp_of, log_of
 
@@ -35,10 +36,12 @@ _LEAST_TOLD = 0.4
 _DAMPED = 0.7
 """Share of a step that is taken, as what shakes faster grows more than is seen over these."""
 _FEWEST = 15
-_MOST = 500
+_MOST = 250
 """Spans that shifts are tried on."""
 _SHARE = 0.3
 """Share of the spans that both must know at a shift for it to count."""
+_MIRRORED = 0.3
+"""Share of what the stated sign leaves that the other one must leave at most, to be the right one."""
 _PEAKS = 4
 _AS_GOOD = 1.3
 """Shifts that leave at most so many times as much as the best one are as good, as in even steps of a walk."""
@@ -99,6 +102,17 @@ class Match:
         return max(_LEAST_DRIFT, _LEAST_GROWTH / length, self.drift_error)
 
 
+def is_mirrored(reference: Turning, turns: Turns) -> bool:
+    """Tell whether a sensor turns as a reference does whose rates are all of the other sign.
+
+    A rotation between the two can't make up for that where the body turns about three axes.
+    """
+    if len(turns) < 2 * _FEWEST:
+        return False
+    stated, mirrored = _Pair(reference, turns, np.eye(3)).least()
+    return mirrored < _MIRRORED * min(stated, 1.0)
+
+
 def match(reference: Turning, turns: Turns, expected: Array) -> Match | None:
     """Find time and turn between a sensor and a reference.
 
@@ -153,38 +167,45 @@ class _Pair:
 
     def coarse(self) -> float | None:
         """Return the shift at which the rates fit best, s."""
-        shifts, left = self._tried()
+        shifts, (left, _) = self._tried()
         inner = (left[1:-1] <= left[:-2]) & (left[1:-1] <= left[2:]) & np.isfinite(left[1:-1])
         lows = np.flatnonzero(inner) + 1
         best = [self._lowest(shifts[k]) for k in lows[np.argsort(left[lows])][:_PEAKS]]
         limit = _AS_GOOD * min((value for value, _ in best), default=0.0)
         return min((shift for value, shift in best if value <= limit), key=abs, default=None)
 
+    def least(self) -> tuple[float, float]:
+        """Return the least share that is left at any shift by a rotation, and by a mirrored one."""
+        stated, mirrored = self._tried()[1].min(axis=1)
+        return float(stated), float(mirrored)
+
     def _tried(self) -> tuple[Array, Array]:
-        """Return shifts (s) and what is left at each, by the reference at times a step apart."""
+        """Return shifts (s) and what is left at each, as `_left`, by the reference at times a step apart."""
         few, turning = self._few, self._reference
         count = round(SEARCH / _STEP)
         first = few.begin.min() - SEARCH - _STEP
         grid = first + _STEP * np.arange(int((few.end.max() + SEARCH - first) / _STEP) + 3, dtype=np.float64)
-        angles, pieces = turning.angle(grid), turning.piece(grid)
-
-        shifts = np.arange(-count, count + 1)
+        # Windows of the reference, of all shifts of a time in one piece, and one more to interpolate.
+        table = np.vstack((turning.angle(grid).T, turning.piece(grid)))
+        windows = sliding_window_view(table, 2 * count + 2, axis=1)
 
         def moved(times: Array) -> tuple[Array, Array]:
             place = (times - first) / _STEP
-            share = (place - np.floor(place))[:, np.newaxis]
-            low = place.astype(np.intp) + shifts[:, np.newaxis]
-            return pieces[low], angles[low] * (1.0 - share) + angles[low + 1] * share
+            low = place.astype(np.intp)
+            share = (place - low)[:, np.newaxis]
+            near = windows[:, low - count]
+            return near[3, :, :-1], near[:3, :, :-1] * (1.0 - share) + near[:3, :, 1:] * share
 
         (one, before), (other, after) = moved(few.begin), moved(few.end)
-        rates = (after - before) / (few.end - few.begin)[:, np.newaxis]
-        return _STEP * shifts.astype(np.float64), _left(few, one == other, rates)
+        after -= before
+        after /= (few.end - few.begin)[:, np.newaxis]
+        return _STEP * np.arange(-count, count + 1, dtype=np.float64), _left(few, one == other, after)
 
     def _lowest(self, shift: float) -> tuple[float, float]:
         """Return the share that is left at the best shift near one, and that shift."""
         few, near = self._few, np.linspace(-_STEP, _STEP, 11) + shift
         known, rates = zip(*(self._reference.over(few.begin + k, few.end + k) for k in near), strict=True)
-        left = _left(few, np.array(known), np.array(rates))
+        left, _ = _left(few, np.array(known).T, np.array(rates).T)
         best = int(np.argmin(left))
         return float(left[best]), float(near[best])
 
@@ -306,23 +327,32 @@ class _Pair:
 def _left(turns: Turns, known: Mask, rates: Array) -> Array:
     """Return the shares of the rates that the best rotation from a reference's doesn't explain, 0 to 1.
 
+    Below them are those of the best rotation with a reflection: shape (2, m).
+
     Args:
         turns: n spans.
-        known: Which of them the reference knows at each of m shifts, shape (m, n).
-        rates: Its rates, shape (m, n, 3).
+        known: Which of them the reference knows at each of m shifts, shape (n, m).
+        rates: Its rates, shape (3, n, m).
     """
-    count = known.sum(axis=1)
-    enough = count >= max(_FEWEST, _SHARE * len(turns))
-    weight = known[:, :, np.newaxis].astype(np.float64)
-    many = np.maximum(count, 1)[:, np.newaxis, np.newaxis]
-    seen = (turns.rates - (turns.rates * weight).sum(axis=1, keepdims=True) / many) * weight
-    true = (rates - (rates * weight).sum(axis=1, keepdims=True) / many) * weight
-    power = (seen**2).sum(axis=(1, 2)) * (true**2).sum(axis=(1, 2))
-    table = seen.transpose(0, 2, 1) @ true
+    count, length = known.sum(axis=0), len(turns)
+    weight = known.astype(np.float64)
+    many = np.maximum(count, 1)
+    # About their means of all, so that sums of products keep their digits.
+    seen = turns.rates - turns.rates.mean(axis=0)
+    true = rates * weight
+    true -= true.sum(axis=1, keepdims=True) / many * weight
+    mean = seen.T @ weight / many
+    power = np.sum(seen**2, axis=1) @ weight - np.sum(mean**2, axis=0) * many
+    power *= np.einsum("jnm,jnm->m", true, true)
+    # That `seen` has another mean there doesn't matter: the others sum up to nothing.
+    table = (seen.T @ true).transpose(2, 1, 0)
     values = np.linalg.svd(table, compute_uv=False)
-    values[:, 2] *= np.sign(np.linalg.det(table))
-    explained = np.maximum(values.sum(axis=1), 0.0) ** 2 / np.maximum(power, 1e-300)
-    return np.where(enough & (power > 0), 1.0 - explained, np.inf)
+    third = values[:, 2] * np.sign(np.linalg.det(table))
+    sums = values[:, 0] + values[:, 1] + np.stack((third, -third))
+    explained = np.maximum(sums, 0.0) ** 2 / np.maximum(power, 1e-300)
+    enough = count >= max(_FEWEST, _SHARE * length)
+    # Below 0 by rounding, none would be as good as the best.
+    return np.where(enough & (power > 0), np.maximum(1.0 - explained, 0.0), np.inf)
 
 
 def _centred(rates: Array, weight: Array) -> Array:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from slamhive.data.doctor.findings import Finding, Severity
+from slamhive.data.doctor.findings import Finding, Severity, sensor_repair
 from slamhive.data.doctor.turning import exp_of, log_of
 from slamhive.data.doctor.voting import SEEING, TurningSensor, most
 from slamhive.model.variant import TRUTH
@@ -28,6 +28,8 @@ _FAR = 3.0
 """Times its error that a turn is told all the same."""
 _SIGMAS = 3.0
 _NEAR_AXIS = 0.97
+_HALF_TURN, _ACROSS = 5.0, 0.5
+"""Degrees that half a turn may be off, and the share of its axis along z up to which it turns a body over."""
 
 
 class _Turn(NamedTuple):
@@ -116,7 +118,25 @@ def _named(axes: Array) -> str:
 
 def _finding(stream: TurningSensor, sure: TurningSensor, turn: _Turn, spec: DatasetSpec) -> Finding:
     angle, error = turn.size
-    axis = ", ".join(f"{k:.2f}" for k in turn.vector / max(angle, 1e-9))
+    along = turn.vector / max(angle, 1e-9)
+    axis = ", ".join(f"{k:.2f}" for k in along)
+    turned = (
+        f"{stream.where}: by turning rates against {sure.name} it is turned by {angle:.1f} ± {error:.1f}° "
+        f"about ({axis}) of the body from what is stated"
+    )
+    # Turned over, it would feel gravity from the other side.
+    if stream.is_upright and angle > 180.0 - max(_HALF_TURN, error) and abs(along[2]) < _ACROSS:
+        return Finding(
+            "imu.sign",
+            Severity.WARNING,
+            f"{turned}, but its forces point up as stated: the turning rates are of the wrong sign, and "
+            "inertial algorithms turn the other way than the sensor did",
+            sensor=stream.name,
+            first=stream.first,
+            value=angle,
+            unit="deg",
+            repair=sensor_repair(stream.name, rateScale=-1.0),
+        )
     field, harm = "T_body_sensor", (
         "algorithms that are told it combine what doesn't fit, and drift or diverge, and figures of the "
         "body's pose are off"
@@ -131,8 +151,7 @@ def _finding(stream: TurningSensor, sure: TurningSensor, turn: _Turn, spec: Data
     return Finding(
         "frames.rotation",
         Severity.WARNING,
-        f"{stream.where}: by turning rates against {sure.name} it is turned by {angle:.1f} ± {error:.1f}° "
-        f"about ({axis}) of the body from what is stated{rest}; {harm}; correct {field}",
+        f"{turned}{rest}; {harm}; correct {field}",
         sensor=stream.name,
         first=stream.first,
         value=angle,

@@ -7,6 +7,7 @@ Without a gyro they are held against the ground truth.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,6 +37,8 @@ _LEAST_DRIFT = 1e-4
 _NEAR_SHARE = 0.1
 _SHORT_SECONDS = 9.0
 """Recordings that are shorter tell little of clocks, and that they don't isn't worth a note."""
+_UPRIGHT = 0.87
+"""Cosine of the angle to z of the body up to which a force points up it."""
 _TIME_ZONES = 14.5
 """Hours by which a clock may be in another time zone."""
 _HARM = {
@@ -82,7 +85,8 @@ def judge_turning(examined: Examined) -> Iterator[Finding]:
             "clock.offset",
             Severity.NOTE,
             f"from this motion the clock of {' and '.join(untold)} can't be told against {reference.name}: "
-            "it turns too little, too evenly or too often alike, or they don't turn together",
+            "it turns too little, too evenly or too often alike, or they don't turn together, as where "
+            "another finding says that times are wrong",
         )
 
 
@@ -92,18 +96,21 @@ def _streams(examined: Examined) -> tuple[list[TurningSensor], dict[str, Turning
     streams: list[TurningSensor] = []
     turnings: dict[str, Turning] = {}
     gyros = {
-        name: turning
+        name: (turning, watcher)
         for name, watchers in examined.watched.watchers.items()
         for watcher in watchers
         if isinstance(watcher, Samples)
-        for rates in (watcher.rates_and_forces()[0],)
+        for rates in (watcher.rates_and_forces()[0] * watcher.scale_of_rates(examined.truth)[0],)
         for turning in (gyro_turning(watcher.stamps, rates, watcher.of.sensor.time_offset),)
         if turning is not None
     }
     truth = turning_of(examined.truth)
-    for name, turning in gyros.items():
-        turnings[name] = turning
-        streams.append(TurningSensor(name, SensorType.IMU, float(turning.stamps[0]), _mounting(spec, name)))
+    for name, (turning, watcher) in gyros.items():
+        turnings[name], body = turning, _mounting(spec, name)
+        force = body @ watcher.sound()[2].sum(axis=0, dtype=np.float64)
+        up = bool(force[2] > _UPRIGHT * np.linalg.norm(force))
+        first = float(turning.stamps[0])
+        streams.append(TurningSensor(name, SensorType.IMU, first, body, is_upright=up))
     if truth is not None:
         turnings[TRUTH] = truth
         streams.append(TurningSensor(TRUTH, TRUTH, float(truth.stamps[0]), _mounting(spec, TRUTH)))
@@ -131,22 +138,29 @@ def _fit(
     examined: Examined, stream: TurningSensor, reference: TurningSensor, turnings: dict[str, Turning]
 ) -> Match | None:
     turning = turnings[reference.name]
+    apart = reference.first - stream.first
     if stream.name in turnings:
         turns = turnings[stream.name].turns()
     else:
         sensors = examined.entry.dataset.spec.sensors
         sensor = sensors[stream.name]
+        scan = examined.watched.scans[sensor.topic]
         alike = sum(one.type is sensor.type for one in sensors.values())
-        seen = turns_of(examined.recording, sensor, examined.watched.scans[sensor.topic], turning, alike)
+        # Of another epoch it is looked at where it turns most if both begin together.
+        is_near = turning.knows(scan.stamps / 1e9 + sensor.time_offset)
+        chosen = turning if is_near else replace(turning, stamps=turning.stamps - apart)
+        tell = partial(examined.progress, stream.name)
+        seen = turns_of(examined.recording, sensor, scan, chosen, alike, tell)
         if seen is None:
             return None
         turns = seen
     expected = stream.body.T @ reference.body
     found = match(turning, turns, expected)
-    if found is not None or stream.kind != TRUTH:
+    if found is not None or TRUTH not in {stream.kind, reference.kind}:
         return found
+    if stream.kind != TRUTH and turning.knows(turns.middle):
+        return None
     # Ground truth has no times of recording that tell of its epoch.
-    apart = reference.first - stream.first
     zone = round(apart / 1800.0) * 1800.0
     away = [sign * seconds for seconds in KNOWN for sign in (1.0, -1.0)] + [apart]
     if 0 < abs(zone) < _TIME_ZONES * 3600.0:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.data.doctor.findings import Finding, Severity, sensor_repair
+from slamhive.data.doctor.repeats import is_same
 from slamhive.data.doctor.watching import MessageWatcher
 from slamhive.data.recordings.images import compressed_pixels, image_pixels
 from slamhive.data.recordings.kinds import IMAGE
@@ -31,7 +32,7 @@ DARK = 40
 """Grey level of 255 that one pixel in a hundred of a dark image passes at most: a room by night with a lamp
 has brighter ones."""
 _HEAD, _PIECE = 512, 4096
-"""Bytes that hold a message's header, and bytes that are compared before whole messages are."""
+"""Bytes that hold a message's header, and bytes by which an image is judged at a glance."""
 _STEP = 24
 """Bytes after which each layout of pixels, of 1 to 4 channels and 1 or 2 bytes, comes to the same channel."""
 _FEW_BITS = 14
@@ -49,7 +50,6 @@ class Pictures(MessageWatcher):
     def __init__(self, of: WatchedSensor) -> None:
         super().__init__(of)
         self.is_depth = of.sensor.type is SensorType.DEPTH_CAMERA
-        self.repeated: list[tuple[int, int]] = []
         self._every = max(1, of.messages // LOOKED_AT)
         self._last: bytes | None = None
         self._is_flat = False
@@ -70,9 +70,9 @@ class Pictures(MessageWatcher):
         """Take in an image."""
         raw, before = message.raw, self._last
         self._last, self._largest = raw, max(self._largest, len(raw))
-        if before is not None and _is_same(before, raw):
+        if before is not None and is_same(before, raw):
             if not self._is_flat:
-                self.repeated.append((message.index, message.stamp))
+                self.repeated.append(message.index)
         else:
             sampled = message.index % self._every == 0
             # A run of flat images is followed to its end; what else looks like one is not without a limit.
@@ -103,7 +103,8 @@ class Pictures(MessageWatcher):
             return 3 * len(raw) < self._largest
         step = _STEP * max(1, len(raw) // (_STEP * _PIECE))
         some = np.frombuffer(raw, dtype=np.uint8)[_HEAD::step]
-        return some.size < _STEP or int(np.ptp(some)) <= FLAT
+        # A few bytes tell of most images that they show something.
+        return some.size < _STEP or all(int(np.ptp(some[::every])) <= FLAT for every in (64, 1))
 
     def _look(self, message: PassingMessage, *, sampled: bool) -> bool:
         """Look at an image's pixels, and tell whether nothing is to be seen in it."""
@@ -127,7 +128,7 @@ class Pictures(MessageWatcher):
             self._bits = max(self._bits, int(pixels.max()).bit_length())
             pixels = (pixels >> 8).astype(np.uint8)
         is_flat = int(np.ptp(pixels.reshape(-1, *pixels.shape[2:]), axis=0).max()) <= FLAT
-        if sampled and not is_flat and np.percentile(pixels, 99) < DARK:
+        if sampled and not is_flat and np.count_nonzero(pixels >= DARK) < 0.01 * pixels.size:
             self._dark.append(message.stamp)
         return is_flat
 
@@ -252,11 +253,3 @@ class Pictures(MessageWatcher):
                 f"typically{end}: runs with it come out Diverged, by their scale{helps}",
                 [], found / scale, "m", **more,
             )  # fmt: skip
-
-
-def _is_same(before: bytes, raw: bytes) -> bool:
-    """Tell whether two messages are the same but for sequence number and stamp."""
-    if len(before) != len(raw):
-        return False
-    middle = slice(len(raw) // 2, len(raw) // 2 + _PIECE)
-    return before[middle] == raw[middle] and before[12:] == raw[12:]

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.data.doctor.findings import Finding, Severity, sensor_repair
+from slamhive.data.doctor.repeats import is_same
 from slamhive.data.doctor.watching import MessageWatcher
 from slamhive.data.recordings.clouds import cloud_points
 from slamhive.model.errors import DataError
@@ -19,11 +20,16 @@ from slamhive.model.repair import MOST_DROPPED
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    import numpy.typing as npt
+
     from slamhive.data.doctor.watching import PassingMessage, WatchedSensor
 
 LOOKED_AT = 30
+_PROBED = 64
+"""Points of a scan that are looked at before all are."""
 _AT_ORIGIN = 0.01
-"""Share of points at the origin that is worth a warning: 40 % made the error an eighth larger."""
+"""Share of points at the origin, and of scans without a return, that is worth a warning: 40 % of the points
+made the error an eighth larger."""
 
 
 class ScanWatcher(MessageWatcher):
@@ -41,6 +47,16 @@ class ScanWatcher(MessageWatcher):
         )  # fmt: skip
 
 
+def _has_return(points: npt.NDArray[Any]) -> bool:
+    """Tell whether any point of a scan has a place other than the origin; some points mostly do."""
+    for some in (points[:: max(1, len(points) // _PROBED)], points):
+        axes = [np.ascontiguousarray(some[axis]) for axis in "xyz"]
+        placed = np.logical_and.reduce([np.isfinite(axis) for axis in axes])
+        if (placed & np.logical_or.reduce([axis != 0 for axis in axes])).any():
+            return True
+    return False
+
+
 class ScanPoints(ScanWatcher):
     """Watcher of the layout of scans, and of points that are no returns."""
 
@@ -49,24 +65,32 @@ class ScanPoints(ScanWatcher):
         self._every = max(1, of.messages // LOOKED_AT)
         self._taken = self._looked = self._counted = self._at_origin = self._unplaced = 0
         self._is_dense = False
+        self._last = b""
         self._unread: list[tuple[int, int, str]] = []
+        self._blank: list[tuple[int, int]] = []
         self._stepless: list[int] = []
         self._swapped: list[int] = []
 
     def take(self, message: PassingMessage) -> None:
         """Take in a scan."""
         self._taken += 1
+        before, self._last = self._last, message.raw
         try:
             scan = message.decoded
             points = cloud_points(scan, self.of.sensor.topic, copy=False)
         except DataError as error:
             self._unread.append((message.index, message.stamp, str(error)))
             return
+        has_places = {"x", "y", "z"} <= {*(points.dtype.names or ())}
+        if not len(points) or (has_places and not _has_return(points)):
+            self._blank.append((message.index, message.stamp))
+        elif is_same(before, message.raw):
+            self.repeated.append(message.index)
         if len(points) and not scan.row_step:
             self._stepless.append(message.stamp)
         if scan.is_bigendian:
             self._swapped.append(message.stamp)
-        if message.index % self._every == 0 and {"x", "y", "z"} <= {*(points.dtype.names or ())}:
+        if message.index % self._every == 0 and has_places:
             self._looked += 1
             axes = [np.ascontiguousarray(points[axis]) for axis in "xyz"]
             unplaced = ~np.logical_and.reduce([np.isfinite(axis) for axis in axes])
@@ -107,6 +131,16 @@ class ScanPoints(ScanWatcher):
             )  # fmt: skip
 
     def _no_returns(self) -> Iterator[Finding]:
+        if self._blank:
+            drop = [index for index, _ in self._blank]
+            few, share = len(drop) < self._taken and len(drop) <= MOST_DROPPED, len(drop) / self._taken
+            yield self.found(
+                "points.no-return", Severity.WARNING if share > _AT_ORIGIN else Severity.NOTE,
+                f": {len(drop)} of {self._taken} scans have no point but at the origin or of NaN: to "
+                "odometry they are missing, and programs that expect points fail there"
+                + ("; leave them out" if few else ""),
+                [stamp for _, stamp in self._blank], len(drop), "scans", **({"drop": drop} if few else {}),
+            )  # fmt: skip
         if not self._counted:
             return
         code, looked = "points.no-return", f"in {self._looked} scans looked at"

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Turning rates against what else tells of a turn: the way of gravity in the sensor's axes, or a truth."""
+"""Turning rates against what else tells of a turn: the way of gravity in the sensor's axes, or a truth.
+
+The way of gravity tells the sign, too: no mounting makes it move against the rates of the same device.
+How far a truth turns doesn't.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ import numpy as np
 from slamhive_eval import rotation
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     import numpy.typing as npt
 
@@ -22,6 +26,7 @@ if TYPE_CHECKING:
 DEGREE = float(np.pi / 180.0)
 SCALES = (DEGREE, 1.0 / DEGREE)
 """Factors that rates in other units need: deg/s, and radians that were taken for degrees."""
+_SIGNED = (*SCALES, -1.0, *(-scale for scale in SCALES))
 _BLOCK, _WINDOW, _STEPS = 0.02, 1.0, (0.5, 2.0)
 """Seconds over which rates are averaged, which turns by no more than a rad even where they are in deg/s, over
 which gravity's way is compared, and over which turns are with those of a truth: more for slow turns."""
@@ -74,7 +79,7 @@ class IntegratedTurns:
             left = rotation.rotate(rotation.conjugate(turn), before) - after
             return np.asarray(np.linalg.norm(left, axis=1)[tells])
 
-        return _better(error, moved[tells])
+        return _better(_SIGNED, error, moved[tells])
 
     def scale_by_truth(self, truth: Trajectory) -> float | None:
         """Return the factor that the rates need to turn as far as the truth; None where that isn't told."""
@@ -104,7 +109,7 @@ class IntegratedTurns:
             found = np.abs(rotation.angle(self._turned(begins, counts, scale)) - angles)
             return np.asarray(found[tells])
 
-        return _better(error, angles[tells])
+        return _better(SCALES, error, angles[tells])
 
     def _turned(self, starts: npt.NDArray[np.intp], sizes: npt.NDArray[np.intp] | int, scale: float) -> Array:
         """Return the turns over some blocks from each start on, as quaternions, shape (k, 4)."""
@@ -119,12 +124,12 @@ class IntegratedTurns:
         return np.asarray(total)
 
 
-def _better(error: Callable[[float], Array], turned: Array) -> float | None:
+def _better(scales: Sequence[float], error: Callable[[float], Array], turned: Array) -> float | None:
     """Return the scale that explains turns; 1 where the stated one does, None where none is the right one."""
     if len(turned) < _FEWEST:
         return None
     stated, usual = float(np.median(error(1.0))), float(np.median(turned))
-    for scale in SCALES:
+    for scale in scales:
         left = float(np.median(error(scale)))
         if left < _EXPLAINED * usual and left < _NEAR * stated:
             return scale

@@ -21,7 +21,7 @@ from slamhive.model.errors import DataError
 from slamhive.model.sensors import SensorType, TimesSince
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from slamhive.data.doctor.turning import Array, Turning
     from slamhive.data.recordings.reading import Recording, Scan
@@ -53,7 +53,9 @@ _LEAST_IN_CELL = {1: 6, 2: 18}
 """Points of a plane in a cell, and in one of twice the size: of fewer, few rings would seem to tell."""
 _FLAT, _LINE = 0.05, 0.05
 """Shares of a cell's variances: thinner than the one is a plane, narrower than the other a single ring."""
-_ROUNDS, _SCAN_ROUNDS = 6, 4
+_ROUNDS = 6
+_SCAN_ROUNDS = {2: 2, 1: 4}
+"""Rounds at each size of cells: the larger are but to begin near enough."""
 _ACROSS = [3, 4]
 _MIDDLE = 2**20
 _EVEN = sum((2**21 - 2) << place for place in (0, 21, 42))
@@ -64,8 +66,13 @@ _SETTLED = 2e-4
 """Rad, and m, below which another round changes nothing."""
 
 
-def turns_of(
-    recording: Recording, sensor: Sensor, scan: Scan, reference: Turning, alike: int = 1
+def turns_of(  # noqa: PLR0917 - what is looked at, then how
+    recording: Recording,
+    sensor: Sensor,
+    scan: Scan,
+    reference: Turning,
+    alike: int = 1,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> Turns | None:
     """Return the turns of a camera or LiDAR from frame to frame, where it turned most.
 
@@ -75,6 +82,7 @@ def turns_of(
         scan: Times of its messages.
         reference: Turning by which stretches are chosen.
         alike: Sensors of its kind.
+        progress: Called with the share of the frames that are looked at, 0 to 1.
 
     Returns:
         None where its frames can't tell.
@@ -83,7 +91,7 @@ def turns_of(
         return None
     spans: list[tuple[float, float, Array]] = []
     most = _PAIRS[sensor.type] // min(alike, 2)
-    for frames in _stretches(recording, sensor, scan, reference, most):
+    for frames in _stretches(recording, sensor, scan, reference, most, progress):
         try:
             spans += _seen(frames, sensor) if sensor.type is SensorType.CAMERA else _scanned(frames, sensor)
         except (DataError, cv2.error):
@@ -95,8 +103,13 @@ def turns_of(
     return Turns(begin, end, rates)
 
 
-def _stretches(
-    recording: Recording, sensor: Sensor, scan: Scan, reference: Turning, most: int
+def _stretches(  # noqa: PLR0917 - as `turns_of`
+    recording: Recording,
+    sensor: Sensor,
+    scan: Scan,
+    reference: Turning,
+    most: int,
+    progress: Callable[[float], None],
 ) -> Iterator[Iterator[tuple[float, Any]]]:
     """Yield stretches of frames, each with its time in s, of as many pairs as may be looked at."""
     seconds = scan.stamps / 1e9 + sensor.time_offset
@@ -118,18 +131,21 @@ def _stretches(
             parts.append((int(begins[best]), int(ends[best])))
     kind = recording.topics[sensor.topic].message_type
 
-    def frames(low: int, high: int) -> Iterator[tuple[float, Any]]:
+    def frames(low: int, high: int, before: int) -> Iterator[tuple[float, Any]]:
         # By record time; others that have the first one's come with it.
         number = int(np.searchsorted(scan.times, scan.times[low]))
         for _, _, raw in recording.messages(
             {sensor.topic}, int(scan.times[low]), int(scan.times[high - 1]) + 1
         ):
             if low <= number < high and (number - low) % stride == 0:
+                progress((before + number - low) / total)
                 yield float(seconds[number]), recording.decode(raw, kind)
             number += 1
 
+    before, total = 0, sum(high - low for low, high in parts)
     for low, high in parts:
-        yield frames(low, high)
+        yield frames(low, high, before)
+        before += high - low
 
 
 def _is_known(camera: Camera | None) -> bool:
@@ -352,14 +368,14 @@ def _moved(
         return None
     stride = max(1, len(after.points) // _POINTS)
     some = _TimedPoints(after.time, after.points[::stride], after.late[::stride])
-    for times in (2, 1):
+    for times, rounds in _SCAN_ROUNDS.items():
         planes = _planes(seen, times)
         if len(planes[0]) < _FEWEST_PLANES:
             return None
         # It is put together as of one instant by the motion as known.
         points = _stilled(some, motion / length)
         turned, moved = matrix @ exp_of(motion[:3]), matrix @ motion[3:] + place
-        for _ in range(_SCAN_ROUNDS):
+        for _ in range(rounds):
             change = _nearer(planes, points @ turned.T + moved, size * times)
             if change is None:
                 return None

@@ -129,9 +129,13 @@ class _StampJudge:
             return
         share = equal.size / len(self.scan.stamps)
         # Stamped by a computer as bursts came in; the recorder may have had them one by one.
-        spread = _wander(self.scan)
-        steady = self.rate is not None and spread < GAP_PERIODS / self.rate and _is_regular(self.scan.times)
+        spread, burst = _wander(self.scan), _longest_burst(equal)
+        steady = self.rate is not None and spread < (burst + GAP_PERIODS) / self.rate
+        steady = steady and _is_regular(self.scan.times)
+        repair: dict[str, Any] = {"stamps": str(BackwardStamps.RECORDED)} if steady else {}
         helps = "; the times of recording are regular: stamps: Recorded takes those" if steady else ""
+        if not steady and not self.is_imu and equal.size <= MOST_DROPPED:
+            repair, helps = {"drop": (equal + 1).tolist()}, "; leave out the later ones"
         yield self.found(
             "stamps.equal", Severity.NOTE if share < _FEW else Severity.WARNING,
             f"{equal.size} of {len(self.scan.stamps)} messages of {self.topic} ({share:.2g} of them) have "
@@ -139,7 +143,7 @@ class _StampJudge:
             + ("algorithms that integrate from stamp to stamp leave every such sample out, or divide by 0"
                if self.is_imu else "programs that pair or order by stamp take one of them") + helps,
             int(self.scan.stamps[equal[0]]), count=int(equal.size), value=round(share, 6),
-            repair=sensor_repair(self.name, stamps=str(BackwardStamps.RECORDED)) if steady else {},
+            repair=sensor_repair(self.name, **repair) if repair else {},
         )  # fmt: skip
 
     def jitter(self) -> Iterator[Finding]:
@@ -196,6 +200,13 @@ def _wander(scan: Scan, leap: float = np.inf) -> float:
     """Return by how much record times wander against stamps, leaps of the stamps left out, s."""
     steps = np.diff((scan.stamps - scan.times) / 1e9)
     return float(np.ptp(np.cumsum(steps[np.abs(steps) < leap]))) if steps.size else 0.0
+
+
+def _longest_burst(equal: npt.NDArray[np.intp]) -> int:
+    """Return the number of messages of the longest run with one stamp, by those before an equal one."""
+    ends = np.flatnonzero(np.diff(equal) > 1)
+    edges = np.concatenate(([-1], ends, [len(equal) - 1]))
+    return int(np.diff(edges).max()) + 1
 
 
 def _is_regular(times: Times) -> bool:

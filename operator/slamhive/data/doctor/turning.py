@@ -95,6 +95,10 @@ class Turning:
             np.concatenate((self.stamps[wide], self.stamps[-1:])),
         )
 
+    def knows(self, times: Array) -> bool:
+        """Tell whether half of some times (s) or more lie between the first one here and the last."""
+        return bool(np.mean((times >= self.stamps[0]) & (times <= self.stamps[-1])) >= 0.5)
+
     def noise(self, seconds: float) -> float:
         """Return the variance of mean rates over so many s, of all axes together, that is white noise's."""
         if not self.is_integrated or len(self.stamps) < 8:

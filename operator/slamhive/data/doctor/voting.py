@@ -35,6 +35,7 @@ class TurningSensor:
         first: Its first time, s.
         body: Rotation of its frame in the body as stated, shape (3, 3).
         fit: How it fits; None of the reference itself.
+        is_upright: Whether its specific forces, on average, say that z of the body is up.
     """
 
     name: str
@@ -42,6 +43,7 @@ class TurningSensor:
     first: float
     body: Array
     fit: Match | None = None
+    is_upright: bool = False
 
     @property
     def where(self) -> str:

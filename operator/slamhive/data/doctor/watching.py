@@ -82,10 +82,16 @@ class WatchedSensor:
 
 
 class MessageWatcher:
-    """Gatherer over the messages of one sensor; a subclass says what it takes and what it finds."""
+    """Gatherer over the messages of one sensor; a subclass says what it takes and what it finds.
+
+    Attributes:
+        of: the sensor.
+        repeated: indices of messages that are the one before them again.
+    """
 
     def __init__(self, of: WatchedSensor) -> None:
         self.of = of
+        self.repeated: list[int] = []
 
     def take(self, message: PassingMessage) -> None:
         """Take in a message.

@@ -19,7 +19,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
-from slamhive.data.files.https import TIMEOUT_SECONDS, HttpsResponse, Interrupted, OfflineError, open_url
+from slamhive.data.files.https import (
+    STALL_BYTES,
+    STALL_SECONDS,
+    HttpsResponse,
+    Interrupted,
+    OfflineError,
+    open_url,
+)
 from slamhive.data.files.partial import DiskFault, Partial, disk_words
 from slamhive.model.canonical import digest
 from slamhive.model.errors import DataError, SlamHiveError, SystemFault
@@ -36,9 +43,6 @@ MOST_BYTES = 1 << 38
 MEBIBYTE = 1 << 20
 LEFT_BYTES = 1 << 30
 """Bytes that stay free on the disk."""
-STALL_SECONDS = TIMEOUT_SECONDS
-"""Seconds in which at least `STALL_BYTES` must come: a server that sends a byte now and then is no use."""
-STALL_BYTES = 1 << 20
 PATIENCE_SECONDS = 600.0
 """Seconds that a fetch may take beside those in which its bytes must come."""
 PAUSES = (0.5, 1.0, 2.0, 4.0, 8.0)
@@ -383,6 +387,10 @@ def _is_same(order: _FetchOrder, answer: HttpsResponse, start: int) -> bool:
             f"{order.where}: comes from its start again: the server sends no parts, or another file now"
         )
         partial.forget()
+    if answer.packing is not None:
+        order.progress.notify(
+            f"{order.where}: comes packed ({answer.packing}), which nobody asked for: it may be another file"
+        )
     _require_room((answer.total or 0) - partial.held, order.room, order)
     known = (answer.total, partial.total, order.wanted.size)
     partial.begin(order.url, answer.validators, next((size for size in known if size is not None), None))
@@ -396,11 +404,11 @@ def _require_size(order: _FetchOrder, found: int) -> None:
 
 
 def _copy(order: _FetchOrder, answer: HttpsResponse, until: int | None) -> None:
-    """Write an answer within the limits of size, room and pace."""
+    """Write an answer within the limits of size and room."""
     partial = order.partial
     expected = answer.total if until is None else until
     room = order.room
-    at, counted, since = answer.start, 0, time.monotonic()
+    at, counted = answer.start, 0
     with _BlockWriter(order, at) as writer:
         while expected is None or at < expected:
             block = answer.read(_READ)
@@ -415,10 +423,8 @@ def _copy(order: _FetchOrder, answer: HttpsResponse, until: int | None) -> None:
                 _require_room(at - answer.start, room, order)
             writer.put(data)
             if counted >= STALL_BYTES:
-                counted, since = 0, time.monotonic()
+                counted = 0
                 order.progress.count(partial.held, answer.total)
-            elif time.monotonic() - since > STALL_SECONDS:
-                raise Interrupted(f"less than {STALL_BYTES >> 20} MiB came in {STALL_SECONDS} s")
     order.progress.count(partial.held, answer.total)
     if expected is None:
         expected = _end_of(order, answer, at)

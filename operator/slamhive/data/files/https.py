@@ -13,6 +13,7 @@ import os
 import re
 import socket
 import ssl
+import time
 import urllib.error
 import urllib.request
 from contextlib import suppress
@@ -27,10 +28,14 @@ from slamhive.model.errors import DataError, InputError, SystemFault
 
 TIMEOUT_SECONDS = 60
 """Seconds without a byte after which a connection is given up."""
+STALL_SECONDS = TIMEOUT_SECONDS
+"""Seconds in which at least `STALL_BYTES` must come: a server that sends a byte now and then is no use."""
+STALL_BYTES = 1 << 20
 CERTIFICATES = "SLAMHIVE_CERTIFICATES"
 """Variable with a file of further authorities' certificates, such as that of a lab's own mirror."""
 _PAGE_BYTES = 1 << 20
 _RANGE = re.compile(r"bytes (\d+)-(\d+)/(\d+|\*)", re.ASCII)
+_PACKINGS = {"gzip", "x-gzip", "deflate", "br", "zstd", "compress"}
 _AGAIN = {408, 425, 429, 500, 502, 503, 504}
 """Statuses after which another try may succeed."""
 
@@ -72,6 +77,42 @@ class Validators:
         return any(known) if known else None
 
 
+class _AnswerPace:
+    """The pace that is asked of an answer from its head to its end; content counts, and nothing else."""
+
+    def __init__(self) -> None:
+        self._came, self._since = 0, time.monotonic()
+
+    def count(self, size: int) -> None:
+        """Take in that so many bytes of content came."""
+        self._came += size
+        if self._came >= STALL_BYTES:
+            self._came, self._since = 0, time.monotonic()
+
+    def require(self) -> None:
+        """Check that enough came.
+
+        Raises:
+            TimeoutError: It didn't.
+        """
+        if time.monotonic() - self._since > STALL_SECONDS:
+            raise TimeoutError(f"less than {STALL_BYTES / (1 << 20):g} MiB came in {STALL_SECONDS} s")
+
+    def socket(self) -> type[ssl.SSLSocket]:
+        """Return sockets that look at it before each read.
+
+        The library reads on by itself in heads, between chunks and behind them, for as long as bytes come.
+        """
+        require = self.require
+
+        class PacedSocket(ssl.SSLSocket):
+            def recv_into(self, *args: Any, **options: Any) -> int:
+                require()
+                return super().recv_into(*args, **options)
+
+        return PacedSocket
+
+
 @dataclass
 class HttpsResponse:
     """Response of an https server to a request for a file; a context manager that closes it.
@@ -90,6 +131,15 @@ class HttpsResponse:
     by_ranges: bool
     tells_end: bool
     _response: Any
+    _pace: _AnswerPace
+
+    @property
+    def packing(self) -> str | None:
+        """Return the packing of the file that the server names, though it was asked for none."""
+        packing = self._response.headers.get("Content-Encoding", "").strip().lower()
+        # Servers name so what is in a tar.gz as well.
+        is_own = urlsplit(self._response.url).path.lower().endswith(("gz", "zst", ".br"))
+        return packing if packing in _PACKINGS and not is_own else None
 
     def __enter__(self) -> Self:
         return self
@@ -101,12 +151,13 @@ class HttpsResponse:
         """Return the next bytes, at most so many; none at the end.
 
         Raises:
-            Interrupted: The connection is lost.
+            Interrupted: The connection is lost, or hardly anything comes.
         """
         try:
             data: bytes = self._response.read1(size)
         except (OSError, HTTPException) as error:
             raise Interrupted(_shown(str(error))) from None
+        self._pace.count(len(data))
         return data
 
     def read_page(self) -> str:
@@ -201,7 +252,9 @@ def _open(url: str, start: int, end: int | None, condition: str | None) -> Https
         request.add_header("Range", f"bytes={start}-{'' if end is None else end - 1}")
         if condition is not None:
             request.add_header("If-Range", condition)
-    opener = urllib.request.build_opener(_HttpsAlone, urllib.request.HTTPSHandler(context=trusted()))
+    pace, context = _AnswerPace(), trusted()
+    context.sslsocket_class = pace.socket()
+    opener = urllib.request.build_opener(_HttpsAlone, urllib.request.HTTPSHandler(context=context))
     try:
         response = opener.open(request, timeout=TIMEOUT_SECONDS)
     except urllib.error.HTTPError as error:
@@ -222,10 +275,10 @@ def _open(url: str, start: int, end: int | None, condition: str | None) -> Https
         raise Interrupted(problem) from None
     except ValueError as error:  # of a redirect
         raise SystemFault(_shown(f"leads to an address that can't be: {error}")) from None
-    return _answer(response, start)
+    return _answer(response, start, pace)
 
 
-def _answer(response: Any, start: int) -> HttpsResponse:
+def _answer(response: Any, start: int, pace: _AnswerPace) -> HttpsResponse:
     headers = response.headers
     validators = Validators(headers.get("ETag"), headers.get("Last-Modified"))
     length = headers.get("Content-Length")
@@ -238,7 +291,7 @@ def _answer(response: Any, start: int) -> HttpsResponse:
         total = None if match[3] == "*" else _number(match[3])
         tells_end = total is not None
         return HttpsResponse(
-            start, total, validators, by_ranges=True, tells_end=tells_end, _response=response
+            start, total, validators, by_ranges=True, tells_end=tells_end, _response=response, _pace=pace
         )
     if response.status not in {200, 203}:
         response.close()
@@ -246,7 +299,7 @@ def _answer(response: Any, start: int) -> HttpsResponse:
     total = _number(length) if length and length.isdecimal() else None
     by_ranges = headers.get("Accept-Ranges", "").strip().lower() == "bytes"
     tells_end = total is not None or response.chunked
-    return HttpsResponse(0, total, validators, by_ranges, tells_end, response)
+    return HttpsResponse(0, total, validators, by_ranges, tells_end, response, pace)
 
 
 def _number(digits: str) -> int:

@@ -8,6 +8,7 @@ copies of what they lead to, or are refused.
 
 from __future__ import annotations
 
+import errno
 import gzip
 import lzma
 import os
@@ -52,6 +53,10 @@ DIRECTORY_BYTES = 128 << 20
 _NAME_LENGTH = 4096
 _DEPTH = 64
 """Folders of a path, each of which may be what a link leads to."""
+_COPY_BYTES = 4096
+"""Bytes that a link's copy counts at least: a few links to folders of links are millions of small files."""
+_OF_NAMES = {errno.ENAMETOOLONG, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.EINVAL, errno.EILSEQ}
+"""Errors of a disk at a member's name or place, and no fault of the disk."""
 _SHOWN = 5
 _MAGIC_ZIP = b"PK\x03\x04"
 _MAGIC_7Z = b"7z\xbc\xaf\x27\x1c"
@@ -192,7 +197,8 @@ def _unpack(archive: Path, title: str, wanted: Iterable[Sequence[str]], work: _U
                 if name in inner:
                     if member.kind != "file":
                         _refuse_kind(member, title)
-                    with tempfile.TemporaryDirectory(prefix=".nested-", dir=work.out) as folder:
+                    nested = tempfile.TemporaryDirectory(prefix=".nested-", dir=work.out)
+                    with _named(name, title), nested as folder:
                         aside = Path(folder) / PurePosixPath(name).name
                         _write(member, title, aside, work)
                         _unpack(aside, f"{title}: {name}", inner[name], work)
@@ -200,12 +206,14 @@ def _unpack(archive: Path, title: str, wanted: Iterable[Sequence[str]], work: _U
                 matching = next((prefix for prefix in here if is_in(name, prefix)), None)
                 if matching is not None:
                     missing.discard(matching)
-                    _place(member, name, title, work)
+                    with _named(name, title):
+                        _place(member, name, title, work)
     except ARCHIVE_DAMAGES as error:
         raise DamagedArchiveError(f"{title}: {_damage(archive, error)}") from None
     if missing:
         some = printable(", ".join(list(seen)[:_SHOWN])) + (", …" if len(seen) > _SHOWN else "")
-        raise DataError(f"{title}: has no {', '.join(sorted(missing))}; it has: {some or 'nothing'}")
+        names = ", ".join(sorted(missing)) or "file"
+        raise DataError(f"{title}: has no {names}; it has: {some or 'nothing'}")
 
 
 def _damage(archive: Path, error: Exception) -> str:
@@ -329,6 +337,17 @@ def is_in(name: str, prefix: str) -> bool:
     return not prefix or name == prefix or name.startswith(prefix.rstrip("/") + "/")
 
 
+@contextmanager
+def _named(name: str, title: str) -> Iterator[None]:
+    """Turn what a disk says of a member's name or place into a complaint about the member."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in _OF_NAMES:
+            raise
+        raise DataError(f"{title}: the member {name[:200]!r} can't be put there: {error.strerror}") from None
+
+
 def _place(member: ArchiveMember, name: str, title: str, work: _Unpacking) -> None:
     target = work.out / name
     _count(title, work)
@@ -436,9 +455,10 @@ def _copy(name: str, path: str, title: str, work: _Unpacking) -> None:
         if file.is_dir():
             continue
         checked_name(str(place.relative_to(work.out)), title)
-        work.written += file.stat().st_size
+        work.written += max(file.stat().st_size, _COPY_BYTES)
         if work.written > work.limit:
             _refuse_size(title, work)
         _refuse_folder(place, name, title)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(file, place)
+        with _named(name, title):
+            place.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, place)

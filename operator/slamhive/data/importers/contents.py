@@ -234,10 +234,7 @@ def imu_stream(name: str, sensor: Sensor, stamps: Stamps, rates: Array, forces: 
     """
     frame = sensor.frame_id or name
     return SensorStream(
-        name,
-        sensor,
-        stamps,
-        lambda bag, k: bag.imu(sensor.topic, int(stamps[k]), frame, rates[k], forces[k]),
+        name, sensor, stamps, lambda bag, k: bag.imu(sensor.topic, int(stamps[k]), frame, rates[k], forces[k])
     )
 
 

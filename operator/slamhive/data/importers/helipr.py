@@ -147,7 +147,7 @@ def _scan_folder(source: Path, name: str) -> Path | None:
 
 
 def _scans(name: str, folder: Path) -> SensorStream:
-    files, stamps = stamped_files(folder, ".bin", "ns")
+    files, stamps = stamped_files(folder, "ns")
     device = DEVICES[name]
 
     def load(k: int) -> Records:

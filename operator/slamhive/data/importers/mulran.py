@@ -55,7 +55,7 @@ def read(source: Path, options: ImportOptions) -> Contents:  # noqa: ARG001
         (
             "Ouster: a stamp is taken for the start of the scan, point i for one of column i/64 of 1024 in "
             "0.1 s, as KISS-ICP does: the files don't say"
-        ),
+        )
     ]
     streams = [_scans(folder, notes)]
     path = _found(source, _IMU)
@@ -79,7 +79,7 @@ def _found(source: Path, name: str) -> Path | None:
 
 
 def _scans(folder: Path, notes: list[str]) -> SensorStream:
-    files, stamps = stamped_files(folder, ".bin", "ns")
+    files, stamps = stamped_files(folder, "ns")
     whole = [path.stat().st_size == RINGS * COLUMNS * XYZI.itemsize for path in files]
     if not any(whole):
         raise DataError(f"{folder}: no scan of {COLUMNS}×{RINGS} points of {XYZI.itemsize} bytes in it")
@@ -103,13 +103,7 @@ def _scans(folder: Path, notes: list[str]) -> SensorStream:
 
     known = {"rings": RINGS, "columns": COLUMNS, "maxRange": 120.0}
     sensor = lidar_sensor(
-        "ouster",
-        stamps,
-        stamp=Stamp.SCAN_START,
-        pose=pose,
-        lidar=known,
-        has_times=True,
-        has_rings=True,
+        "ouster", stamps, stamp=Stamp.SCAN_START, pose=pose, lidar=known, has_times=True, has_rings=True
     )
     return cloud_stream("lidar", sensor, stamps, load)
 

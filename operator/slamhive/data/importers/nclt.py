@@ -65,7 +65,7 @@ def read(source: Path, options: ImportOptions) -> Contents:  # noqa: ARG001
 
 
 def _scans(folder: Path) -> SensorStream:
-    files, stamps = stamped_files(folder, ".bin", "us")
+    files, stamps = stamped_files(folder, "us")
 
     def load(k: int) -> npt.NDArray[np.void]:
         records = read_records(files[k], RECORD)

@@ -100,15 +100,15 @@ def numbered_files(folder: Path, suffix: str) -> dict[int, Path]:
     return dict(sorted(found.items()))
 
 
-def stamped_files(folder: Path, suffix: str, unit: Unit) -> tuple[list[Path], Stamps]:
+def stamped_files(folder: Path, unit: Unit) -> tuple[list[Path], Stamps]:
     """Return the files of a folder whose names are times, ascending, and these in ns, shape (n,).
 
     Raises:
         DataError: There are none, or a name is no time.
     """
-    found = numbered_files(folder, suffix)
+    found = numbered_files(folder, ".bin")
     if not found:
-        raise DataError(f"{folder}: no files *{suffix} in it, named by their times in {unit}")
+        raise DataError(f"{folder}: no files *.bin in it, named by their times in {unit}")
     stamps = np.array([nanoseconds(str(number), unit) for number in found], dtype=np.int64)
     return [*found.values()], stamps
 

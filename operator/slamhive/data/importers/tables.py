@@ -77,12 +77,7 @@ def nanoseconds(text: str, unit: Unit) -> int:
 
 
 def read_table(
-    path: Path,
-    columns: int,
-    meaning: str,
-    *,
-    stamp: Unit | None = None,
-    unknown: list[str] | None = None,
+    path: Path, columns: int, meaning: str, *, stamp: Unit | None = None, unknown: list[str] | None = None
 ) -> NumberTable:
     """Read a table: numbers between commas, semicolons or white space.
 

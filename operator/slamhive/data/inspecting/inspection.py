@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from slamhive.model.dataset import DatasetSpec
     from slamhive.model.sensors import Sensor
 
+_ELSEWHERE = {"clock.epoch", "stamps.zero", "stamps.gap"}
+"""Codes of errors that say of stamps that they are of another time; a gap that is one takes days."""
 SMALL_SHARE = 0.9
 """Share of the recording's length below which a sensor is said to cover little of it: a run lasts as long as
 its first camera, LiDAR or scanner, and an algorithm needs the others all the time."""
@@ -160,14 +162,17 @@ class DatasetReport:
 
 
 def inspect(
-    entry: DatasetEntry, cache: Path | None = None, progress: Callable[[float], None] | None = None
+    entry: DatasetEntry,
+    cache: Path | None = None,
+    progress: Callable[[str, float | None], None] = lambda *_: None,
 ) -> DatasetReport:
     """Read a dataset through and say what it holds; what is wrong is collected, not raised.
 
     Args:
         entry: The dataset, materialised.
         cache: Folder for converted ground truth.
-        progress: Called with the share read, 0 to 1.
+        progress: Called with what is being done, a step of how many, and the share of it done, 0 to 1; None
+            where that isn't known.
     """
     errors: list[str] = []
     warnings: list[str] = []
@@ -196,8 +201,12 @@ def inspect(
         return DatasetReport(
             entry.name, spec.recording.format, None, None, [], None, [], {}, [str(error)], []
         )
-    # A sensor of another epoch stretches the recording by years, and its finding says all that matters.
-    elsewhere = {finding.sensor for finding in findings if finding.code == "clock.epoch"}
+    # Stamps of another epoch stretch the recording by years, and their finding says all that matters.
+    elsewhere = {
+        finding.sensor
+        for finding in findings
+        if finding.code in _ELSEWHERE and finding.severity is Severity.ERROR
+    }
     timed = [sensor for sensor in sensors if sensor.name not in elsewhere]
     firsts = [sensor.first for sensor in timed if sensor.first is not None]
     lasts = [sensor.last for sensor in timed if sensor.last is not None]

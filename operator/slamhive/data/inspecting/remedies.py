@@ -64,8 +64,9 @@ class RepairedManifest:
 def repaired_manifest(dataset: Dataset, findings: Sequence[Finding]) -> RepairedManifest:
     """Return the manifest of a dataset with the repairs that findings propose.
 
-    Where two want different things of one field, the graver one has it. What a dataset is repaired of
-    already is taken together with what was found in the repaired stream.
+    Where two want different things of one field, the graver one has it; messages that either leaves out are
+    left out together. What a dataset is repaired of already is taken together with what was found in the
+    repaired stream.
 
     Args:
         dataset: The dataset as declared.
@@ -76,13 +77,13 @@ def repaired_manifest(dataset: Dataset, findings: Sequence[Finding]) -> Repaired
     declared = dataset.as_json()
     body = deepcopy(declared)
     body["metadata"]["name"] = made.name
-    places: dict[Path_, Finding] = {}
+    places: dict[Path_, list[Finding]] = {}
     for finding in findings:
         tried = deepcopy(body)
         wanted = dict(_leaves(finding.repair))
         try:
             for place, value in wanted.items():
-                _take(tried["spec"], declared["spec"], place, value, places.get(place))
+                _take(tried["spec"], declared["spec"], place, value, places.get(place, []))
             Dataset.model_validate(tried)
         except _LeftOutError as error:
             made.notes.append(f"{finding.code} ({finding.sensor}) isn't repaired: {error}")
@@ -91,9 +92,10 @@ def repaired_manifest(dataset: Dataset, findings: Sequence[Finding]) -> Repaired
                 f"{finding.code} ({finding.sensor}) isn't repaired: {explain(error.errors()[0])}"
             )
         else:
-            new = {place: finding for place in wanted if place not in places}
-            if new:
-                body, places = tried, places | new
+            if tried["spec"] != body["spec"]:
+                for place in wanted:
+                    places.setdefault(place, []).append(finding)
+                body = tried
                 made.repaired.append(finding)
     made.text = _commented(body, places)
     return made
@@ -104,7 +106,7 @@ class _LeftOutError(Exception):
 
 
 def _take(
-    spec: dict[str, Any], declared: Mapping[str, Any], place: Path_, value: Any, other: Finding | None
+    spec: dict[str, Any], declared: Mapping[str, Any], place: Path_, value: Any, others: Sequence[Finding]
 ) -> None:
     """Put a value into a spec.
 
@@ -112,14 +114,17 @@ def _take(
         _LeftOutError: Another finding has put another one there, or its numbers are of another stream.
     """
     name = ".".join(place)
-    if other is not None:
-        if _at(spec, place) != value:
+    *above, key = place
+    if others:
+        # Numbers are of one stream, whichever finding has them.
+        if key == "drop":
+            _put(spec, place, sorted({*_at(spec, place), *value}))
+        elif _at(spec, place) != value:
             raise _LeftOutError(
-                f"{name} would be {json.dumps(value)}, but {other.code} comes first, by which it is "
+                f"{name} would be {json.dumps(value)}, but {others[0].code} comes first, by which it is "
                 f"{json.dumps(_at(spec, place))}"
             )
         return
-    *above, key = place
     if key in BY_NUMBER and any(_at(declared, (*above, one)) for one in BY_NUMBER):
         raise _LeftOutError(
             f"{name} counts messages that the dataset's own {' or '.join(BY_NUMBER)} leaves; check and "
@@ -149,8 +154,8 @@ def _put(value: dict[str, Any], place: Path_, item: Any) -> None:
     value[place[-1]] = item
 
 
-def _commented(body: Mapping[str, Any], places: Mapping[Path_, Finding]) -> str:
-    """Return YAML with the code and the sentence of the finding above each line that it is behind."""
+def _commented(body: Mapping[str, Any], places: Mapping[Path_, Sequence[Finding]]) -> str:
+    """Return YAML with codes and sentences of findings above each line that they are behind."""
     lines: list[str] = []
     above: list[tuple[int, str]] = []
     text = yaml.dump(dict(body), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=10**6)
@@ -159,8 +164,7 @@ def _commented(body: Mapping[str, Any], places: Mapping[Path_, Finding]) -> str:
         key = line.strip().split(":", 1)[0]
         if not line.strip().startswith("- "):
             above = [one for one in above if one[0] < indent] + [(indent, key)]
-            finding = places.get(tuple(key for _, key in above)[1:])
-            if finding is not None and above[0][1] == "spec":
-                lines.append(f"{' ' * indent}# {finding.code}: {' '.join(finding.message.split())}")
+            findings = places.get(tuple(key for _, key in above)[1:], ()) if above[0][1] == "spec" else ()
+            lines += [f"{' ' * indent}# {one.code}: {' '.join(one.message.split())}" for one in findings]
         lines.append(line)
     return "\n".join([*lines, ""])

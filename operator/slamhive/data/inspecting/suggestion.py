@@ -18,7 +18,7 @@ from pydantic import ValidationError
 
 from slamhive.data.doctor.examining import examine
 from slamhive.data.doctor.files import static_contradictions
-from slamhive.data.doctor.imus import first_samples, has_halves, other_half
+from slamhive.data.doctor.imus import first_samples, forces_alone, has_halves, other_half
 from slamhive.data.doctor.points import LOOKED_AT
 from slamhive.data.doctor.pointtimes import LEAST_SCAN_SECONDS, SAME_INSTANT
 from slamhive.data.recordings import kinds
@@ -234,7 +234,8 @@ class _Look:
     def _joined(self, topics: list[str]) -> list[str]:
         """Return the topics of IMUs; those of forces alone go with topics of rates alone."""
         has = {topic: has_halves(*first_samples(self.recording, topic)) for topic in topics}
-        forces = [topic for topic in topics if has[topic] == (False, True)]
+        # Those of other types than Imu are no sensor by themselves.
+        forces = [*forces_alone(self.recording, [one for one in topics if has[one] != (False, True)])]
         for topic in topics:
             other = other_half(topic, forces) if has[topic] == (True, False) else None
             if other is not None:

@@ -117,7 +117,8 @@ def all_roles(entry: DatasetEntry, target: DataFormat) -> tuple[Role, ...]:
     found = tuple(named)
     if target.is_folder:
         cameras = [group for group in _FIRST[target] if all(_fits(spec, role) for role in group)]
-        others = [role for role in named if role in {Role.IMU, Role.LIDAR} and _holds_beside(target, role)]
+        beside = [role for role in named if role in {Role.IMU, Role.LIDAR}]
+        others = [role for role in beside if holds(target, (Role.CAMERA, role))]
         found = (*cameras[0], *others) if cameras else ()
     if not holds(target, found) or not found:
         raise InputError(
@@ -125,10 +126,6 @@ def all_roles(entry: DatasetEntry, target: DataFormat) -> tuple[Role, ...]:
             "(--sensors names a mode)"
         )
     return found
-
-
-def _holds_beside(target: DataFormat, role: Role) -> bool:
-    return holds(target, (Role.CAMERA, role))
 
 
 def _fits(spec: DatasetSpec, role: Role) -> bool:

@@ -19,13 +19,7 @@ from slamhive.data.making.disturbing import Shutter, Weather, disturbed_image, d
 from slamhive.data.making.selection import complete_frames, partners_of, with_masks
 from slamhive.data.recordings.clouds import move_point_times
 from slamhive.data.recordings.kinds import COMPRESSED_IMAGE, IMAGE, IMU, POINT_CLOUD
-from slamhive.data.recordings.repairing import (
-    END_OF_STAMPS,
-    IMU_FORCE,
-    IMU_RATE,
-    changed_sample,
-    restamped,
-)
+from slamhive.data.recordings.repairing import END_OF_STAMPS, IMU_FORCE, IMU_RATE, changed_sample, restamped
 from slamhive.data.recordings.streams import TopicKind
 from slamhive.data.recordings.thinning import thin
 from slamhive.data.synthetic.streams import stream as numbers_of
@@ -325,12 +319,7 @@ class _Perturber:
         ]
 
     def _sample(
-        self,
-        stream: Stream,
-        name: str,
-        places: slice,
-        wanted: tuple[float, float, float | None],
-        count: int,
+        self, stream: Stream, name: str, places: slice, wanted: tuple[float, float, float | None], count: int
     ) -> MessageChange:
         bias, noise, limit = wanted
         added = np.full((count, 3), bias)

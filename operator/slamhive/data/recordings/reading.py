@@ -534,9 +534,7 @@ def _check_path(path: Path, recording_format: RecordingFormat) -> None:
         raise DataError(f"{path}: an empty file of 0 bytes; copy or record it again")
 
 
-def _each_once(
-    messages: Iterable[tuple[Connection, int, bytes]],
-) -> Iterator[tuple[Connection, int, bytes]]:
+def _each_once(messages: Iterable[tuple[Connection, int, bytes]]) -> Iterator[tuple[Connection, int, bytes]]:
     """Yield messages, one that is in several files once: they are at the same time then."""
     now: int | None = None
     seen: set[tuple[str, bytes]] = set()

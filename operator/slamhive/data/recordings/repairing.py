@@ -46,7 +46,7 @@ _SAME_INSTANT = 1000
 """Nanoseconds by which record times that were made of stamps may differ from them: digits of a float."""
 IMU_NUMBERS, IMU_RATE, IMU_FORCE = 37, slice(13, 16), slice(25, 28)
 """float64 at the end of a sensor_msgs/Imu, and the places of its turning rates and specific forces."""
-_FORCES: dict[str, Callable[[Any], Any]] = {
+FORCES: dict[str, Callable[[Any], Any]] = {
     IMU: lambda message: message.linear_acceleration,
     "geometry_msgs/msg/AccelStamped": lambda message: message.accel.linear,
     "geometry_msgs/msg/AccelWithCovarianceStamped": lambda message: message.accel.accel.linear,
@@ -269,17 +269,17 @@ class RepairedRecording(Recording):
         name = str(repair.forces)
         found = self.topics.get(name)
         others = [one for one in self.topics.values() if one.name != topic]
-        fitting = [one.name for one in others if one.message_type in _FORCES]
+        fitting = [one.name for one in others if one.message_type in FORCES]
         if found is None or not found.count:
             raise DataError(
                 f"{where}.forces: no messages of a topic {name!r} in {self.label}{suggestion(name, fitting)}"
             )
-        if found.message_type not in _FORCES:
+        if found.message_type not in FORCES:
             raise DataError(
                 f"{where}.forces: {name} has messages of type {found.message_type}; allowed: "
-                f"{', '.join(_FORCES)}"
+                f"{', '.join(FORCES)}"
             )
-        take, rows = _FORCES[found.message_type], []
+        take, rows = FORCES[found.message_type], []
         for connection, _, raw in self.messages({name}):
             vector = take(self.decode(raw, connection.msgtype))
             rows.append((vector.x, vector.y, vector.z))

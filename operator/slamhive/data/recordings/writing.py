@@ -40,11 +40,7 @@ class RecordingWriter:
     """
 
     def __init__(
-        self,
-        source: Recording,
-        target: Path,
-        target_format: RecordingFormat,
-        lasting: Collection[str] = (),
+        self, source: Recording, target: Path, target_format: RecordingFormat, lasting: Collection[str] = ()
     ) -> None:
         self._source = source
         self._target = target

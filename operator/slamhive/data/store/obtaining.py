@@ -299,12 +299,7 @@ class _Shop:
             return place
         known = _KnownSums(self._downloads / SUMS).get(urls[0])
         wanted = WantedFile(
-            urls,
-            what,
-            part.sha256 or known,
-            part.size,
-            piece_bytes=part.piece_bytes,
-            pieces=part.pieces,
+            urls, what, part.sha256 or known, part.size, piece_bytes=part.piece_bytes, pieces=part.pieces
         )
         self.listener.step(f"fetching {what}")
         progress = FetchProgress(self._count, self.listener.notify)

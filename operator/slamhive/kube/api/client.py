@@ -181,6 +181,15 @@ class Api(Transport):
         """
         return await self._others("nodes", "/api/v1/nodes", "of the cluster")
 
+    async def priority_classes(self) -> Objects:
+        """Return the cluster's PriorityClasses.
+
+        Raises:
+            Forbidden: the account may not see them.
+        """
+        path = "/apis/scheduling.k8s.io/v1/priorityclasses"
+        return await self._others("priorityclasses.scheduling.k8s.io", path, "of the cluster")
+
     async def _others(self, resource: str, path: str, target: str) -> Objects:
         """Return all objects of a kind that the operator doesn't watch; few are expected."""
         answer = await self.json(Request("list", resource, target, "GET", path), attempts=1)

@@ -120,38 +120,39 @@ def means_quota(sentence: str) -> bool:
     return "exceeded quota" in sentence
 
 
+def lacks_class(sentence: str) -> bool:
+    """Tell whether the API server's sentence on a refused pod means that its PriorityClass is not there."""
+    return "no PriorityClass with name" in sentence
+
+
 REFUSALS = (Invalid, Forbidden)
 """Answers of the API server where trying again need not help, a used-up quota and missing rights aside."""
 
 
-class TooManyRequests(ApiError):  # noqa: N818
-    """The server asks to wait.
-
-    Attributes:
-        retry_after: seconds it asks for, None where it does not say.
-    """
-
-    reason = "TooManyRequests"
-    retryable = True
-
-    def __init__(self, message: str, *, retry_after: float | None = None, **context: Any) -> None:
-        super().__init__(message, **context)
-        self.retry_after = retry_after
-
-
-class ServerFault(ApiError):  # noqa: N818
-    """The server failed, or the connection did; whether the call was carried out is unknown.
+class _AskedToWait(ApiError):  # noqa: N818
+    """Error after which the call may be made again.
 
     Attributes:
         retry_after: seconds the server asks to wait, None where it does not say.
     """
 
-    reason = "ServerFault"
     retryable = True
 
     def __init__(self, message: str, *, retry_after: float | None = None, **context: Any) -> None:
         super().__init__(message, **context)
         self.retry_after = retry_after
+
+
+class TooManyRequests(_AskedToWait):
+    """The server asks to wait."""
+
+    reason = "TooManyRequests"
+
+
+class ServerFault(_AskedToWait):
+    """The server failed, or the connection did; whether the call was carried out is unknown."""
+
+    reason = "ServerFault"
 
 
 class StartError(SlamHiveError):

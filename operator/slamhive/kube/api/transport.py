@@ -235,9 +235,7 @@ class Transport:
         except (aiohttp.ClientError, TimeoutError, OSError) as error:
             said = str(error) or type(error).__name__
             raise ServerFault(
-                f"cannot {request}: no answer: {said}",
-                verb=request.verb,
-                resource=request.resource,
+                f"cannot {request}: no answer: {said}", verb=request.verb, resource=request.resource
             ) from error
         finally:
             if self.count is not None:

@@ -2,12 +2,7 @@
 """Builders: from our objects to the manifests of Jobs. Pure: no API, no clock, no volume."""
 
 from slamhive.kube.builders.common import ANNOTATION_LIMIT, label, label_value
-from slamhive.kube.builders.evaluation import (
-    batches,
-    evaluator_job,
-    evaluator_job_name,
-    read_job,
-)
+from slamhive.kube.builders.evaluation import batches, evaluator_job, evaluator_job_name, read_job
 from slamhive.kube.builders.run import Companion, configuration, job_name, run_job
 from slamhive.kube.builders.variant import variant_job, variant_job_name, variant_name
 

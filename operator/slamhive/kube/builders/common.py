@@ -171,10 +171,7 @@ def equal_resources(cpu: str, memory: str, *, logs: str, extra: Mapping[str, str
         extra: devices.
     """
     shared = {"cpu": cpu, "memory": memory, **(extra or {})}
-    return {
-        "requests": shared | {"ephemeral-storage": "0"},
-        "limits": shared | {"ephemeral-storage": logs},
-    }
+    return {"requests": shared | {"ephemeral-storage": "0"}, "limits": shared | {"ephemeral-storage": logs}}
 
 
 def container(
@@ -318,13 +315,7 @@ def job(
                 {"action": "Ignore", "onPodConditions": [{"type": "DisruptionTarget", "status": "True"}]}
             ]
         },
-        "template": {
-            "metadata": {
-                "labels": dict(all_labels),
-                "annotations": noted,
-            },
-            "spec": pod,
-        },
+        "template": {"metadata": {"labels": dict(all_labels), "annotations": noted}, "spec": pod},
     }
     if _queue(all_labels) is not None:
         # Whoever keeps the queue starts it; nobody here ever does.

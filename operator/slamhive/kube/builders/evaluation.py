@@ -115,10 +115,7 @@ def evaluator_job(
         pod_spec(settings),
         role=EVALUATE,
         containers=_custom(evaluator, output, settings) if evaluator else [_ours(output, settings)],
-        claims=[
-            claim("results", settings.volumes.results.claim),
-            claim("data", settings.volumes.data.claim),
-        ],
+        claims=[claim("results", settings.volumes.results.claim), claim("data", settings.volumes.data.claim)],
         deadline_seconds=_DEADLINE_SECONDS,
         request=request,
         volumes=[scratch("runs", "64Mi")] if evaluator else [],

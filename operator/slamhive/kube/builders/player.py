@@ -16,13 +16,7 @@ from slamhive.kube.builders.common import (
 )
 from slamhive.kube.builders.run import ALGORITHM, MEMORY, NO_COMPANION, SHARED_MEMORY, Companion
 from slamhive.model.errors import InputError
-from slamhive.playback.pod import (
-    COMMAND,
-    FOLDER,
-    NAME,
-    PLAYER_IMAGES,
-    player_pod,
-)
+from slamhive.playback.pod import COMMAND, FOLDER, NAME, PLAYER_IMAGES, player_pod
 from slamhive.playback.protocol import LEAST_SHARED_MEMORY
 
 if TYPE_CHECKING:

@@ -202,6 +202,8 @@ def run_job(
         "containers": [_algorithm(plan, settings), *companion.containers],
         "volumes": [*_volumes(plan, settings), *_render_volumes(plan), *companion.volumes],
     }
+    if spec.get("priorityClassName"):
+        pod["priorityClassName"] = spec["priorityClassName"]
     if spec["resources"].get("exclusiveNodes"):
         pod["affinity"] = away_from_runs(settings.pods.affinity)
     # Part by part: those that the runs of a Sweep have in common are written once.

@@ -6,44 +6,23 @@ What is seen goes to ``decide_run``; what it decides is done here, and run_recor
 
 from __future__ import annotations
 
+import asyncio
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from slamhive.engine import (
-    AttemptState,
-    Prepare,
-    RunObserved,
-    RunState,
-    Start,
-    Stop,
-    decide_run,
-)
+from slamhive.engine import AttemptState, Prepare, RunObserved, RunState, Start, Stop, decide_run
 from slamhive.kube.api.errors import REFUSALS, AlreadyExists, ApiError, Forbidden
-from slamhive.kube.api.kinds import (
-    Key,
-    Kind,
-    Label,
-    Role,
-    key_of,
-    labels_of,
-    owner_uids,
-    reference,
-)
+from slamhive.kube.api.kinds import Key, Kind, Label, Role, key_of, labels_of, owner_uids, reference
 from slamhive.kube.builders import configuration, read_job, run_job
 from slamhive.kube.builders.common import label_value
 from slamhive.kube.builders.player import player
 from slamhive.kube.builders.run import job_name
-from slamhive.kube.observing import (
-    TERMINATING,
-    Attempted,
-    observe_attempt,
-    observe_job,
-    observe_lost,
-)
+from slamhive.kube.observing import TERMINATING, Attempted, observe_attempt, observe_job, observe_lost
 from slamhive.kube.pods import Waiting, live_pods
 from slamhive.kube.pods import condition as condition_of
 from slamhive.kube.reconciling import variants
-from slamhive.kube.reconciling.archiving import KeptRuns
+from slamhive.kube.reconciling.archiving import ArchiveAway, KeptRuns
 from slamhive.kube.reconciling.disruptions import Disruptions
 from slamhive.kube.reconciling.run_recording import RunRecorder
 from slamhive.kube.reconciling.run_status import RunFacts
@@ -114,6 +93,8 @@ class RunReconciler:
         self._resolved: dict[Key, _Resolved] = {}
         self._keeper = keeper
         self._kept = KeptRuns()
+        self._recalling = asyncio.Lock()
+        self._recalled: set[str] = set()
 
     def waiting(self, namespace: str) -> list[Key]:
         """Return the runs that wait for the catalog."""
@@ -121,12 +102,22 @@ class RunReconciler:
 
     async def __call__(self, cluster: Cluster, key: Key) -> float | None:
         """Look at a run, do what is to be done next, and write what changed."""
+        await self._recall(cluster, key.namespace)
         again = await self._look(cluster, key)
         run = cluster.store.get(key)
         # Those of a Sweep are kept together.
         if self._keeper is not None and run is not None and Label.SWEEP not in labels_of(run):
             await self._keeper.keep_single(cluster, run, self._kept)
         return again
+
+    async def _recall(self, cluster: Cluster, namespace: str) -> None:
+        """Give runs that an earlier operator archived their ends, before one of them is followed further."""
+        async with self._recalling:
+            if self._keeper is None or namespace in self._recalled:
+                return
+            with suppress(ArchiveAway):  # what is there may be measured once more then
+                await self._keeper.recall(cluster, cluster.store.of(Kind.MAPPING_RUN, namespace))
+            self._recalled.add(namespace)
 
     async def _look(self, cluster: Cluster, key: Key) -> float | None:
         self._waiting.discard(key)
@@ -236,10 +227,7 @@ class RunReconciler:
         # The termination message is a copy that can be missing. The truth is summary.json on the results
         # volume, which the operator does not mount: a Job reads it.
         body = read_job(
-            run=facts.body,
-            pod_uid=attempted.pod_uid,
-            attempt=attempted.number,
-            settings=cluster.settings,
+            run=facts.body, pod_uid=attempted.pod_uid, attempt=attempted.number, settings=cluster.settings
         )
         key = key_of(Kind.JOB, body)
         job = cluster.store.get(key)

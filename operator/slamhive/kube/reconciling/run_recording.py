@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import AttemptState, RunObserved, RunState, decide_run
 from slamhive.kube.api.kinds import Key, Kind, Label, key_of, labels_of
-from slamhive.kube.observing import DISRUPTED, TERMINATING
+from slamhive.kube.observing import DISRUPTED, PREPARATION_WAITS, TERMINATING
 from slamhive.kube.pods import condition as condition_of
 from slamhive.kube.reconciling.run_status import (
     RunFacts,
@@ -41,12 +41,7 @@ class RunRecorder:
     """
 
     def __init__(
-        self,
-        catalogue: Catalogue,
-        evaluations: Evaluations,
-        reusable: ReusableRuns,
-        *,
-        has_archive: bool,
+        self, catalogue: Catalogue, evaluations: Evaluations, reusable: ReusableRuns, *, has_archive: bool
     ) -> None:
         self._has_archive = has_archive
         self._catalogue = catalogue
@@ -183,7 +178,7 @@ def _scheduling(facts: RunFacts, state: RunState) -> list[dict[str, Any]]:
     if state.phase is Phase.PREPARING:
         if facts.variant.waiting is not None:
             told = f"its preparation does not begin: {facts.variant.waiting}"
-            return [condition("Scheduled", False, "PreparationWaits", told)]
+            return [condition("Scheduled", False, PREPARATION_WAITS, told)]
         # It began: whether the run itself finds a node is not known yet.
         waited = holds(facts.body["status"], "Scheduled") is False
         return [condition("Scheduled", None, "Preparing")] if waited else []

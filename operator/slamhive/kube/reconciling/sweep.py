@@ -13,12 +13,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from slamhive.archive.known import known_trials
-from slamhive.engine import (
-    PointState,
-    StartPoints,
-    StopPoints,
-    Verdict,
-)
+from slamhive.engine import PointState, StartPoints, StopPoints, Verdict
 from slamhive.kube.api.errors import REFUSALS, AlreadyExists, Conflict
 from slamhive.kube.api.kinds import Key, Kind, Object, key_of, owner_uids
 from slamhive.kube.kueue import QUEUE_WAITS
@@ -26,6 +21,8 @@ from slamhive.kube.reconciling.archiving import ArchiveAway, Keeper, in_thread
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.reconciling.evaluation_groups import SWEEP_PREFIX
 from slamhive.kube.reconciling.reuse import ReusableRuns
+from slamhive.kube.reconciling.sweep_accounts import SweepLook
+from slamhive.kube.reconciling.sweep_classes import make_anew
 from slamhive.kube.reconciling.sweep_losses import (
     announcement,
     archived_by_others,
@@ -46,7 +43,6 @@ from slamhive.kube.reconciling.sweep_picture import (
 )
 from slamhive.kube.reconciling.sweep_recording import SweepRecorder, tell_archive
 from slamhive.kube.reconciling.sweep_runs import (
-    Finished,
     free_slot,
     held_back,
     is_archive_only,
@@ -58,7 +54,7 @@ from slamhive.kube.reconciling.sweep_runs import (
     why_held_back,
 )
 from slamhive.kube.reconciling.sweep_search import Asker, written_trials
-from slamhive.kube.reconciling.sweep_sharing import SlotSharing, SweepLook
+from slamhive.kube.reconciling.sweep_sharing import SlotSharing
 from slamhive.kube.reconciling.sweep_state import SweepMemory, remember
 from slamhive.kube.status import condition, holds, moment, phase_of
 from slamhive.model.base import seconds
@@ -132,7 +128,7 @@ class SweepReconciler:
             again = await self._reconcile(cluster, key, body)
         except ArchiveAway as error:
             self._archive_away[body["metadata"]["uid"]] = str(error)
-            self._sharing.rest(body["metadata"]["uid"])
+            self._sharing.rest(cluster, body["metadata"]["uid"])
             await tell_archive(cluster, key, condition("ArchiveUnavailable", True, "NoAnswer", str(error)))
             return _AWAY_SECONDS
         seen = cluster.store.get(key) or body
@@ -147,7 +143,9 @@ class SweepReconciler:
             memory = await self._remembered(cluster, key, body, sweep)
         except InputError as error:
             self._waiting.add(key)
-            self._sharing.rest(body["metadata"]["uid"])
+            uid = body["metadata"]["uid"]
+            active = sum(state_of(run) is PointState.ACTIVE for run in own_runs(cluster, key, uid))
+            self._sharing.rest(cluster, uid, active)
             await self._recorder.refuse(cluster, body, str(error))
             return None
         if body["metadata"].get("generation", 1) != (body.get("status") or {}).get("observedGeneration"):
@@ -167,6 +165,8 @@ class SweepReconciler:
         seen = await self._take_picture(cluster, key, body, sweep, memory)
         if is_outdated(seen):
             del self._memory[body["metadata"]["uid"]]
+            return _LOOK_SECONDS
+        if await make_anew(cluster, seen):
             return _LOOK_SECONDS
         return await self._drive_window(cluster, seen, now)
 
@@ -227,9 +227,7 @@ class SweepReconciler:
             accepted = bool(holds(body["status"], "Accepted"))
             catalog = self._catalogue.all(cluster.store, key.namespace)
             memory = await remember(
-                *(sweep, body, catalog, live, self._archive),
-                accepted=accepted,
-                cluster=cluster.identity,
+                *(sweep, body, catalog, live, self._archive), accepted=accepted, cluster=cluster.identity
             )
             # An operator that was killed may not have written the start: its oldest live run tells it, or the
             # budget of wall time would begin anew.
@@ -254,13 +252,7 @@ class SweepReconciler:
                 runs[index] = run
         await self._look_for_missing(cluster, body, sweep, memory, runs)
         for index, run in runs.items():
-            known = memory.finished.get(index)
-            # The store has the same object until there is a newer one: hundreds are looked at each time.
-            if known is None or known.run is not run:
-                memory.states[index] = state_of(run)
-                memory.finished.pop(index, None)
-                if memory.states[index] != PointState.ACTIVE:
-                    memory.finished[index] = Finished.of(run)
+            memory.note(index, run)
         tally = replace(memory.archived)
         tally.add(*memory.finished.values(), *memory.deleted.values())
         if memory.search is not None:
@@ -331,7 +323,7 @@ class SweepReconciler:
             begun = [seen.runs[index] for index in due[: turn.starts] if index in seen.runs]
             self._sharing.begun(seen.body["metadata"]["uid"], begun, now)
         if unmade:
-            self._sharing.rest(seen.body["metadata"]["uid"])
+            self._sharing.rest(cluster, seen.body["metadata"]["uid"])
         delays = [_BLOCKED_SECONDS] if unmade or unsought else []
         delays += [_LEAVING_SECONDS] if leaving else []
         delays += [turn.delay] if turn.delay is not None else []

@@ -8,11 +8,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 from slamhive.engine import PointState, SlotWork
+from slamhive.kube.builders.common import label_value
+from slamhive.kube.pods import PULLS, condition
 from slamhive.kube.status import moment, phase_of
 from slamhive.model.results import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Container, Iterable, Mapping
 
     from slamhive.archive import Cost
     from slamhive.kube.api.kinds import Object
@@ -28,15 +30,18 @@ _RECENT = 100
 _JUST_MADE_SECONDS = 5.0
 _LEAST_LEFT = 0.1
 _MINUTE, _HOUR, _DAY = 60.0, 3600.0, 86_400.0
-_STEPS = (
-    *(("min", _MINUTE, number) for number in (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 25, 30, 40, 50)),
-    *(("h", _HOUR, number) for number in (1, 1.25, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10, 12, 15, 18, 21)),
-    *(
-        ("days", _DAY, number)
-        for number in (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10, 12, 15, 20, 25, 30, 40, 50, 60)
-    ),
+_STEPS = tuple(
+    (name, unit, float(number))
+    for name, unit, numbers in (
+        ("s", 1.0, "75 90 105"),
+        ("min", _MINUTE, "1 2 2.5 3 3.5 4 5 6 7 8 10 12 15 18 22 26 30 35 40 50"),
+        ("h", _HOUR, "1 1.25 1.5 1.75 2 2.5 3 3.5 4 5 6 7 8 10 12 15 18 21"),
+        ("days", _DAY, "1 1.25 1.5 1.75 2 2.5 3 3.5 4 5 6 7 8 10 12 15 18 22 26 30 35 40 50 60"),
+    )
+    for number in numbers.split()
 )
-_SAME = 1.3
+"""Times that are told, each at most 1.25 times the one before."""
+_SAME = 1.15
 """Ratio within which a time that was told still holds: it isn't written anew each minute."""
 
 
@@ -47,10 +52,11 @@ def kind_of(run: Mapping[str, Object]) -> RunKind:
 
 
 class Flight(NamedTuple):
-    """Run in flight: its kind, its name, and when it began, s since 1970."""
+    """Run in flight: its kind, its name, when it was made, and since when it takes time, s since 1970."""
 
     kind: RunKind
     name: str
+    made: float
     began: float
 
 
@@ -81,28 +87,31 @@ class RunTimes:
                 made = moment(meta.get("creationTimestamp")) or now
                 # Times of the API are whole seconds.
                 began = now if now - made < _JUST_MADE_SECONDS else made
-                self.flying[meta["uid"]] = Flight(kind_of(run), meta["name"], began)
+                self.flying[meta["uid"]] = Flight(kind_of(run), meta["name"], began, began)
 
-    def look(self, active: Iterable[Object], taken_over: set[str], now: float) -> list[Flight]:
+    def look(
+        self, active: Iterable[Object], done: Container[str], now: float, waiting: Container[str] = ()
+    ) -> list[Flight]:
         """Take note of all runs that are in flight; returns those that have ended since the last time.
 
         Args:
             active: runs in flight.
-            taken_over: UIDs of runs that took over an equal result, which took no time.
+            done: UIDs of runs that were done to their ends: others, which took over an equal result, were
+                cancelled or deleted, say nothing of the time that one takes.
             now: s since 1970.
+            waiting: labels of those for which there is no room: that is no time of theirs.
         """
         active = list(active)
         self.begin(active, now)
         for run in active:
-            if phase_of(run.get("status") or {}) is Phase.PREPARING:
-                # All wait for one preparation, which comes once.
-                uid = run["metadata"]["uid"]
+            uid = run["metadata"]["uid"]
+            if _waits_once(run) or label_value(self.flying[uid].name) in waiting:
                 self.flying[uid] = self.flying[uid]._replace(began=now)
         there = {run["metadata"]["uid"] for run in active}
         ended = {uid: flight for uid, flight in self.flying.items() if uid not in there}
         for uid, flight in ended.items():
             del self.flying[uid]
-            if uid not in taken_over:
+            if uid in done:
                 self._add(flight.kind, now - flight.began)
         return [*ended.values()]
 
@@ -110,10 +119,13 @@ class RunTimes:
         """Take note of runs that had ended before anybody looked."""
         for run in ended:
             status = run.get("status") or {}
-            made, end = moment(run["metadata"].get("creationTimestamp")), moment(status.get("completionTime"))
+            # What it waited before, for room, images or its preparation, is no time of the next ones.
+            began = moment(status.get("startTime")) or moment(run["metadata"].get("creationTimestamp"))
+            end = moment(status.get("completionTime"))
             reused = (status.get("provenance") or {}).get("reusedFrom")
-            if made is not None and end is not None and not reused:
-                self._add(kind_of(run), max(0.0, end - made))
+            whole = not reused and phase_of(status) is not Phase.CANCELLED
+            if began is not None and end is not None and whole:
+                self._add(kind_of(run), max(0.0, end - began))
 
     def _add(self, kind: RunKind, seconds: float) -> None:
         count, total = self.sums.get(kind, (0.0, 0.0))
@@ -179,6 +191,13 @@ class RunTimes:
         total += sum(max((mean or 0.0) - age, _LEAST_LEFT * (mean or 0.0)) for mean, age in flying)
         a_run = sum(mean or 0.0 for mean in known) / len(known)
         return SlotWork(total, max(a_run, 1e-3))
+
+
+def _waits_once(run: Object) -> bool:
+    """Tell whether a run waits for what comes once, for all: its preparation, or an image."""
+    told = condition(run, "Scheduled") or {}
+    has_no_image = told.get("status") == "False" and told.get("reason") in PULLS
+    return phase_of(run.get("status") or {}) is Phase.PREPARING or has_no_image
 
 
 @dataclass

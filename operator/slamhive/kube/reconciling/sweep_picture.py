@@ -6,21 +6,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from slamhive.engine import (
-    PointState,
-    SweepDecision,
-    SweepObserved,
-    Verdict,
-    decide_sweep,
-)
+from slamhive.engine import PointState, SweepDecision, SweepObserved, Verdict, decide_sweep
 from slamhive.kube.api.kinds import Key, Kind, Label, Object, labels_of, owner_uids
 from slamhive.kube.builders.common import label_value
 from slamhive.kube.pods import live_pods
-from slamhive.kube.reconciling.sweep_runs import (
-    SweepTally,
-    decode_points,
-    state_of,
-)
+from slamhive.kube.reconciling.sweep_runs import SweepTally, decode_points, state_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -5,22 +5,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slamhive.engine import (
-    PointState,
-    SweepDecision,
-    Verdict,
-)
+from slamhive.engine import PointState, SweepDecision, Verdict
 from slamhive.kube.api.kinds import Key, Kind, Object
 from slamhive.kube.kueue import QUEUE_WAITS
 from slamhive.kube.reconciling.archiving import ArchiveAway, Keeper, in_thread
-from slamhive.kube.reconciling.sweep_losses import (
-    remark,
-)
-from slamhive.kube.reconciling.sweep_runs import (
-    SweepTally,
-    encode_points,
-    point_of,
-)
+from slamhive.kube.reconciling.sweep_losses import remark
+from slamhive.kube.reconciling.sweep_runs import SweepTally, encode_points, point_of
 from slamhive.kube.status import condition, holds, iso, metres, status_patch
 from slamhive.model.search import SearchRecord
 from slamhive.model.status import SweepDisplay, SweepStatus

@@ -16,7 +16,9 @@ from slamhive.contract.settled import FILES, is_settled
 from slamhive.engine import PointState
 from slamhive.kube.api.kinds import MANAGER, Kind, Label, annotations_of, key_of, labels_of, reference
 from slamhive.kube.kueue import QUEUE_WAITS
+from slamhive.kube.observing import PREPARATION_WAITS
 from slamhive.kube.pods import condition as condition_of
+from slamhive.kube.priorities import CLASS_NOT_FOUND
 from slamhive.kube.status import phase_of, rmse_of
 from slamhive.model.base import PRIORITY_CLASS, QUEUE_NAME
 from slamhive.model.results import Outcome, Phase
@@ -54,6 +56,8 @@ def run_body(
     given = (sweep["spec"].get("template") or {}).get("metadata") or {}
     kept = (sweep["spec"].get("retention") or {}).get("files") != "Delete"
     spec = {key: value for key, value in point.spec.items() if key != "cancel"}
+    if sweep["spec"].get("priorityClassName"):
+        spec["priorityClassName"] = sweep["spec"]["priorityClassName"]
     labels = {
         Label.MANAGED_BY: MANAGER,
         Label.SWEEP: meta["name"],
@@ -134,7 +138,15 @@ def _why_still(run: Mapping[str, Any]) -> str | None:
     for item in status.get("conditions") or ():
         if item["type"] in _STILL and item["status"] == str(_STILL[item["type"]]):
             return str(item.get("message") or item["reason"])
-    return None
+    told = condition_of(run, "Scheduled") or {}
+    held = told.get("status") == "False" and told.get("reason") in {CLASS_NOT_FOUND, PREPARATION_WAITS}
+    return str(told.get("message")) if held else None
+
+
+def lacks_class(run: Mapping[str, Any]) -> bool:
+    """Tell whether a run has no pod because its PriorityClass is not there."""
+    told = condition_of(run, "Scheduled") or {}
+    return told.get("status") == "False" and told.get("reason") == CLASS_NOT_FOUND
 
 
 def held_back(active: Sequence[dict[str, Any]]) -> str | None:

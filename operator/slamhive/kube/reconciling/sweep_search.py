@@ -16,15 +16,7 @@ from pydantic import ValidationError
 
 from slamhive.analysis.searches.seen import runs_seen
 from slamhive.contract.settled import is_settled
-from slamhive.engine import (
-    NextSteps,
-    PointState,
-    RunSeen,
-    SearchDecision,
-    TrialStanding,
-    asked_next,
-    best_of,
-)
+from slamhive.engine import NextSteps, PointState, RunSeen, SearchDecision, TrialStanding, asked_next, best_of
 from slamhive.kube.api.encoding import encode
 from slamhive.kube.records import record_of
 from slamhive.model.canonical import normalize

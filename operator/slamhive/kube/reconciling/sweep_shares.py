@@ -36,6 +36,8 @@ class ShareFacts:
         namespace: its namespace.
         uid: its UID.
         weight: its weight.
+        priority: its priority.
+        class_words: what there is to say of that; None: nothing.
         window: runs that it may have in flight by itself.
         is_own_window: whether it says so itself.
         in_flight: its runs in flight.
@@ -47,7 +49,7 @@ class ShareFacts:
         bounds: what quotas and nodes allow.
         felt: runs that the cluster was found to hold; None: it wasn't found full.
         place: its place in the line; None: it waits in none.
-        blocked: reason and sentence, where it gets no slot at all.
+        is_stopped: whether it gets no slot at all, as it is suspended, or as its condition Blocked says.
         is_search: whether it is a search.
         times: how long its runs take.
         outlooks: when Sweeps are expected to begin and end.
@@ -58,6 +60,8 @@ class ShareFacts:
     namespace: str
     uid: str
     weight: int
+    priority: int
+    class_words: str | None
     window: int
     is_own_window: bool
     in_flight: int
@@ -69,7 +73,7 @@ class ShareFacts:
     bounds: tuple[Bound | None, Bound | None]
     felt: int | None
     place: int | None
-    blocked: tuple[str, str] | None
+    is_stopped: bool
     is_search: bool
     times: RunTimes
     outlooks: Mapping[str, SlotOutlook]
@@ -79,6 +83,11 @@ class ShareFacts:
     def others(self) -> list[Contender]:
         """Return the other Sweeps that share."""
         return [one for one in self.crowd if one.name != self.uid and one.demand > 0]
+
+    @property
+    def above(self) -> int:
+        """Return the number of Sweeps that come first by their priority."""
+        return sum(one.priority > self.priority for one in self.others)
 
     @property
     def inside(self) -> int:
@@ -100,7 +109,7 @@ def share_of(facts: ShareFacts, before: SweepShare | None, begin: ToldTime, end:
         begin: when its first run begins, as it was last told.
         end: when its last run ends, as it was last told.
     """
-    outlook = SlotOutlook() if facts.blocked else facts.outlooks.get(facts.uid, SlotOutlook())
+    outlook = SlotOutlook() if facts.is_stopped else facts.outlooks.get(facts.uid, SlotOutlook())
     limit, sooner = _limit(facts)
     spaces = {one.namespace for one in facts.others} | {facts.namespace}
     share = SweepShare(
@@ -108,6 +117,7 @@ def share_of(facts: ShareFacts, before: SweepShare | None, begin: ToldTime, end:
         of=facts.slots,
         sweeps=len(facts.others) + 1,
         namespaces=len(spaces),
+        priority=facts.class_words,
         place=facts.place,
         begin=begin.words(_begin(facts, outlook)),
         end=end.words(outlook.end),
@@ -137,7 +147,7 @@ def _begin(facts: ShareFacts, outlook: SlotOutlook) -> float | None:
 
 def _origin(facts: ShareFacts, outlook: SlotOutlook) -> str:
     """Return the origin of a forecast, or the reason why there is none."""
-    if facts.blocked:
+    if facts.is_stopped:
         return "none: nothing starts now"
     if facts.is_search:
         return "none: a search decides by its results how many runs it does"
@@ -170,8 +180,8 @@ def _about(count: int) -> str:
 
 def _limit(facts: ShareFacts) -> tuple[str, str]:
     """Return the limit of a Sweep, and the change that would make it sooner."""
-    if facts.blocked:
-        return facts.blocked[1], ""
+    if facts.is_stopped:
+        return "", ""  # phase or condition say it
     if not facts.pending:
         return "all its runs are in flight or done", ""
     found = _by_room(facts)
@@ -186,7 +196,7 @@ def _limit(facts: ShareFacts) -> tuple[str, str]:
 def _by_room(facts: ShareFacts) -> tuple[str, str] | None:
     """Return the same where quotas or nodes are what limits it."""
     quota, nodes = facts.bounds
-    if quota is not None and facts.inside + facts.waiting >= quota.runs:
+    if quota is not None and facts.inside >= quota.runs:
         return f"{quota.why} of namespace {facts.namespace}", "a larger quota, or runs that ask for less"
     if nodes is not None and facts.in_flight >= nodes.runs:
         return nodes.why, "more nodes, or runs that ask for less"
@@ -211,6 +221,8 @@ def _by_rules(facts: ShareFacts) -> tuple[str, str]:
         told, larger = f"the room of the cluster, found to hold about {facts.slots} runs", "more nodes"
     if facts.others:
         told += f", shared with {_counted(facts)}"
+    if facts.above:
+        told += f"; {facts.above} of them come first by a PriorityClass of a higher value"
     return told, _by_sharing(facts, larger)
 
 
@@ -219,8 +231,10 @@ def _by_sharing(facts: ShareFacts, larger: str) -> str:
     if not facts.others:
         return larger
     ways = [larger]
-    if facts.weight < MOST_WEIGHT:
+    if facts.weight < MOST_WEIGHT and any(one.priority == facts.priority for one in facts.others):
         ways.insert(0, f"a larger spec.weight (now {facts.weight})")
+    if facts.above:
+        ways.insert(0, "a PriorityClass of a higher value")
     ends = [
         (outlook.end, one)
         for one in facts.others

@@ -18,12 +18,7 @@ from slamhive.engine import PointState
 from slamhive.kube.api.encoding import encode
 from slamhive.kube.api.kinds import annotations_of
 from slamhive.kube.reconciling.archiving import KeptRuns, in_thread
-from slamhive.kube.reconciling.sweep_runs import (
-    Finished,
-    SweepTally,
-    decode_points,
-    point_of,
-)
+from slamhive.kube.reconciling.sweep_runs import Finished, SweepTally, decode_points, point_of, state_of
 from slamhive.kube.reconciling.sweep_search import SearchMemory, read_trials, require_room, written_trials
 from slamhive.kube.status import moment
 from slamhive.model.errors import InputError, UnknownNameError
@@ -90,6 +85,16 @@ class SweepMemory:
     lost: set[int] = field(default_factory=set)
     search: SearchMemory | None = None
     share: SweepShare | None = None
+
+    def note(self, index: int, run: Object) -> None:
+        """Note what is seen of a point's run now."""
+        known = self.finished.get(index)
+        # The store has the same object until there is a newer one: hundreds are looked at each time.
+        if known is None or known.run is not run:
+            self.states[index] = state_of(run)
+            self.finished.pop(index, None)
+            if self.states[index] != PointState.ACTIVE:
+                self.finished[index] = Finished.of(run)
 
     @property
     def most_runs(self) -> int:
@@ -192,6 +197,10 @@ async def remember(
         search=search,
     )
     there = {point_of(run) for run in live}
+    for run in live:
+        # Another operator may remove them before the first look: what is noted here is missed then.
+        if (index := point_of(run)) is not None and index < len(memory.states):
+            memory.note(index, run)
     if archive is not None:
         there |= await in_thread(_recall, sweep, archive, live, memory, cluster)
     memory.lost = {

@@ -6,7 +6,8 @@ What keeps a pod from running is borne alike by all of them:
 - that the API server refuses it, for ``refusalGraceSeconds``;
 - an image that can't be had, or a container that can't be started, for ``imagePullGraceSeconds``; an image
   whose name is none, not at all;
-- a full cluster, a used-up quota, a queue, or a pod that nobody says anything of, without end.
+- a full cluster, a used-up quota, a queue, a PriorityClass that is not there, or a pod that nobody says
+  anything of, without end.
 
 No run is given up for an evaluator that does not begin, however long: that is said until it does.
 
@@ -21,10 +22,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slamhive.engine import AttemptEnd
-from slamhive.kube.api.errors import REFUSALS, ApiError, means_quota
+from slamhive.kube.api.errors import REFUSALS, ApiError, lacks_class, means_quota
 from slamhive.kube.kueue import QUEUE_WAITS
 from slamhive.kube.observing import NO_POD
 from slamhive.kube.pods import Waiting
+from slamhive.kube.priorities import CLASS_NOT_FOUND
 from slamhive.kube.reports import clean
 from slamhive.model.results import Reason
 
@@ -110,6 +112,9 @@ async def _explained(cluster: Cluster, job: dict[str, Any], waiting: Waiting) ->
     # A used-up quota is waited for without end, as others' pods make room; a policy's refusal is not.
     if means_quota(message):
         return Waiting("QuotaExceeded", told)
+    # A class can be made as long as it is missed.
+    if lacks_class(message):
+        return Waiting(CLASS_NOT_FOUND, told)
     return replace(
         waiting, reason="PodRefused", message=told, end=AttemptEnd(reason=Reason.SYSTEM_FAULT, message=told)
     )

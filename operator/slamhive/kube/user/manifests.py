@@ -40,14 +40,12 @@ class Manifest:
         item: the object as a record of the language.
         spec: its spec as it was written.
         source: where it stands, for sentences about it.
-        from_catalog: whether nobody gave it: what was given names it.
     """
 
     kind: Kind
     item: Resource
     spec: Object
     source: str
-    from_catalog: bool = False
 
     @property
     def name(self) -> str:
@@ -105,7 +103,7 @@ def read_manifests(paths: Sequence[Path], stdin: str | None = None) -> list[Mani
 def entry_of(item: Resource, source: str) -> Manifest:
     """Return an entry of the catalog as a manifest."""
     spec = item.model_dump(mode="json", by_alias=True, exclude_unset=True)["spec"]
-    return Manifest(Kind(item.kind), item, spec, source, from_catalog=True)
+    return Manifest(Kind(item.kind), item, spec, source)
 
 
 def common_namespace(manifests: Sequence[Manifest], asked: str | None) -> str | None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.contract.settled import is_settled
 from slamhive.kube.api.errors import NotFound
-from slamhive.kube.api.kinds import Kind, Label, Object
+from slamhive.kube.api.kinds import Kind, Label, Object, labels_of
 from slamhive.kube.builders.common import label_value
 from slamhive.kube.status import holds, moment, phase_of
 from slamhive.kube.user.together import together
@@ -212,11 +212,6 @@ def has_failed(run: Mapping[str, Any]) -> bool:
 def name_of(body: Mapping[str, Any]) -> str:
     """Return an object's name."""
     return str(body["metadata"]["name"])
-
-
-def labels_of(body: Mapping[str, Any]) -> Mapping[str, str]:
-    """Return an object's labels."""
-    return body["metadata"].get("labels") or {}
 
 
 def status_of(body: Mapping[str, Any]) -> Mapping[str, Any]:

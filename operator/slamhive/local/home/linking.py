@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 LEAST_BYTES = 1 << 20
 """Bytes from which on a file is worth being compared."""
+_MOST_HOLES = 4
+"""Times the bytes that a file takes on the disk that it may be long: holes take no room, and long to read."""
 _MOST_FILES = 10_000
 _CHUNK = 1 << 20
 
@@ -62,9 +64,9 @@ def _large_files(root: Path) -> dict[str, int]:
                 if entry.is_dir(follow_symlinks=False):
                     waiting.append(f"{name}/")
                 elif entry.is_file(follow_symlinks=False):
-                    size = entry.stat(follow_symlinks=False).st_size
-                    if size >= LEAST_BYTES:
-                        found[name] = size
+                    known = entry.stat(follow_symlinks=False)
+                    if LEAST_BYTES <= known.st_size <= _MOST_HOLES * 512 * known.st_blocks:
+                        found[name] = known.st_size
     return found
 
 

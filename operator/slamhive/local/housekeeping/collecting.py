@@ -28,7 +28,7 @@ from slamhive.local.programs.assets import remove_asset
 from slamhive.local.programs.environments import Environments, is_whole, remove_environment
 from slamhive.local.programs.unavailable import Unavailable
 from slamhive.local.running.attempt import end_left_behind
-from slamhive.model.base import Choice
+from slamhive.model.base import Choice, plural
 from slamhive.model.errors import SystemFault
 from slamhive.model.results import IMPORTED
 
@@ -116,8 +116,6 @@ def survey(
     runs: Iterable[ArchivedRun],
     datasets: Collection[str],
     asked: CollectOptions,
-    *,
-    now: float | None = None,
 ) -> list[HomeFind]:
     """Return the finds beside a home's run files, datasets and archive, each with whether it may go.
 
@@ -127,9 +125,8 @@ def survey(
         runs: all runs that the archive knows.
         datasets: names of the datasets that their records refer to.
         asked: what may go beside what nothing refers to.
-        now: the time, s since the epoch.
     """
-    surveyor = _Surveyor(home, workshop, asked, time.time() if now is None else now)
+    surveyor = _Surveyor(home, workshop, asked, time.time())
     known = {
         parts
         for run in runs
@@ -239,7 +236,8 @@ class _Surveyor:
             used = referred is None or folder.name in referred
             # What can't be seen may refer to it: nothing is removed because something else is missing.
             if referred is not None and not used and self.referred.missing:
-                used, why = True, f"folders of {self.referred.missing} runs are missing that may refer to it"
+                runs = plural(self.referred.missing, "run")
+                used, why = True, f"folders of {runs} are missing that may refer to it"
             yield self._made(kind, folder, why if used else None)
 
     def recordings(self, datasets: Collection[str]) -> Iterator[HomeFind]:
@@ -412,7 +410,7 @@ class _Surveyor:
         if lost:
             return f"the folder of algorithm {lost[0]} is missing, which may need it"
         missing = self.referred.missing
-        return f"folders of {missing} runs are missing that may refer to it" if missing else None
+        return f"folders of {plural(missing, 'run')} are missing that may refer to it" if missing else None
 
     def _needed_environments(self, root: Path) -> tuple[set[str], str | None]:
         """Return the environments that the catalog needs, and why it may need others."""

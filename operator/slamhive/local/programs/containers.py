@@ -36,14 +36,7 @@ from slamhive.local.programs.containerwords import (
     preparing_words,
 )
 from slamhive.local.programs.engines import engine_named, find_engine
-from slamhive.local.programs.images import (
-    Image,
-    find_image,
-    inspect,
-    player_image,
-    pull,
-    qualified,
-)
+from slamhive.local.programs.images import Image, find_image, inspect, player_image, pull, qualified
 from slamhive.local.programs.prepared import PreparedPlayer
 from slamhive.local.programs.unavailable import ImageMissing, Unavailable
 from slamhive.model.errors import DataError, SystemFault

@@ -14,12 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from slamhive.contract.environment import (
-    LIBRARY_PATH,
-    SETTINGS_FOLDER,
-    own_variables,
-    program_variables,
-)
+from slamhive.contract.environment import LIBRARY_PATH, SETTINGS_FOLDER, own_variables, program_variables
 from slamhive.local.home.catalog import bundled
 from slamhive.local.home.folder import lock
 from slamhive.local.programs.assets import place_assets

@@ -21,6 +21,7 @@ from slamhive.local.programs.cores import whole_cores, within
 from slamhive.local.programs.engines import ContainerChoice, find_engine
 from slamhive.local.programs.executors import unavailable
 from slamhive.local.programs.unavailable import Unavailable
+from slamhive.model.base import plural
 from slamhive.model.errors import InputError, SlamHiveError, sentence
 from slamhive.model.extras import how_to_install
 from slamhive.model.readiness import ReadinessRow, State, limited, missing, there
@@ -232,7 +233,7 @@ def cores() -> ReadinessRow:
         helps.append("measure load on a machine with several cores")
     if costs:
         return limited("cores", found, "; ".join(costs), "; ".join(helps))
-    return there("cores", f"{found}; {len(usable)} runs of one core at a time")
+    return there("cores", f"{found}; {plural(len(usable), 'run')} of one core at a time")
 
 
 def clock(folder: Path = Path(SYSTEM)) -> ReadinessRow:

@@ -294,9 +294,7 @@ class RunDriver:
         progress.provenance = known = bench.circumstances(order.point.spec_hash)
         program = bench.program(self._spec["algorithmRef"]["name"])
         progress.provenance = known.replace(
-            algorithm_hash=program.algorithm_hash,
-            environment=program.environment,
-            image_id=program.image_id,
+            algorithm_hash=program.algorithm_hash, environment=program.environment, image_id=program.image_id
         )
         progress.provenance = bench.provenance(self._spec, order.point.spec_hash, program)
         hashed = progress.provenance.content_hash or ""
@@ -437,7 +435,7 @@ class RunDriver:
             attributes=self._bench.attributes(self._spec["datasetRef"]["name"]),
             phase=state.phase,
             reason=state.reason,
-            message=_joined(state.message, kept, progress.remark),
+            message="; ".join(filter(None, (state.message, kept, progress.remark))) or None,
             attempts=max(state.attempts, int(ended)),
             provenance=self._provenance(),
         )
@@ -500,10 +498,6 @@ class RunDriver:
     @property
     def _algorithm(self) -> AlgorithmEntry:
         return self._bench.workshop.algorithm(self._spec["algorithmRef"]["name"])
-
-
-def _joined(*sentences: str | None) -> str | None:
-    return "; ".join(filter(None, sentences)) or None
 
 
 def _problem(error: Exception) -> tuple[Reason, str]:

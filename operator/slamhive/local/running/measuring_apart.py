@@ -54,9 +54,7 @@ def measured(measure: Callable[[], Result]) -> Result | Exception:
         return error
 
 
-def measuring_process(
-    answer: Callable[[Any, dict[str, Any]], Any] = measure_output,
-) -> BoundedProcess:
+def measuring_process(answer: Callable[[Any, dict[str, Any]], Any] = measure_output) -> BoundedProcess:
     """Return a process in which what algorithms wrote is read and measured, one run after another.
 
     Args:

@@ -325,12 +325,7 @@ class Looking:
 
 
 def sentences(
-    outlook: Outlook,
-    points: Points,
-    *,
-    again: Iterable[int] = (),
-    left_out: int = 0,
-    tells_new: bool = True,
+    outlook: Outlook, points: Points, *, again: Iterable[int] = (), left_out: int = 0, tells_new: bool = True
 ) -> list[str]:
     """Return the standing of a sweep's runs, in sentences.
 

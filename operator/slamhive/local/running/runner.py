@@ -187,7 +187,6 @@ class Runner:
         watcher: told what happens.
         parallelism: runs at the same time at most; default: as many as fit.
         wish: how much of what is asked for is done.
-        sampler: proposes the settings that searches try.
         begun: called with each job when it is known how its points stand and which are done.
     """
 
@@ -198,7 +197,6 @@ class Runner:
         *,
         parallelism: int | None = None,
         wish: RunChoice = _EVERYTHING,
-        sampler: Sampler | None = None,
         begun: Callable[[Job], None] = lambda _: None,
     ) -> None:
         self._bench = bench
@@ -215,7 +213,7 @@ class Runner:
         self._interrupted = False
         self._stopped: set[str] = set()
         self._looking = Looking(bench, making=True)
-        self._sampler = sampler or Sampler()
+        self._sampler = Sampler()
 
     def run(self, jobs: Sequence[Job]) -> bool:
         """Bring jobs to their end, one after another.

@@ -26,6 +26,8 @@ RESIDENT = "Resident"
 _SUSPECT_LETTERS = 400
 # Below this share of a window's capacity, work of others is noise of the tick that counts it.
 _CONTENTION_NOISE = 0.05
+_WORTH_A_WORD_SECONDS = 10.0
+"""Waiting for others below this is none of the reasons that a run came late."""
 _TICK = os.sysconf("SC_CLK_TCK")
 # A short run shall have samples too: these come before the regular ones, s.
 _EARLY_SAMPLES = (0.005, 0.02, 0.05)
@@ -287,6 +289,14 @@ class Contention:
         if capacity > 0 and others > _CONTENTION_NOISE * capacity:
             self.seconds += max(min(others, waited), 0.0)
         self._time, self._cpu, self._busy = now, cpu, busy
+
+    def overrun(self, allowed: float) -> str:
+        """Sentence on a run that took longer than allowed, s, and whether that was for others' programs."""
+        late = f"it took more than {allowed:g} s"
+        # Equal words for equal ends: how long it waited is a figure of the run.
+        if self.seconds <= max(allowed / 2, _WORTH_A_WORD_SECONDS):
+            return late
+        return f"{late}, most of them waiting for processors that others used"
 
     def _waiting(self) -> float:
         """Return the seconds the run's threads waited in this window."""

@@ -20,7 +20,7 @@ import time
 import traceback
 import warnings
 import weakref
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from functools import cached_property, lru_cache
 from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
@@ -225,7 +225,9 @@ def fork_apart(work: Callable[[], None], keep: Collection[int]) -> int:
         OSError: There is no process left.
     """
     locked = _locked_properties(len(sys.modules))
-    with warnings.catch_warnings():
+    # A model is built when it is first used, under one lock of pydantic's for all.
+    building = getattr(sys.modules.get("pydantic.main"), "_rebuild_lock", nullcontext())
+    with building, warnings.catch_warnings():
         # From Python 3.12 on it warns of the threads; why that is well is said above.
         warnings.simplefilter("ignore", DeprecationWarning)
         pid = os.fork()

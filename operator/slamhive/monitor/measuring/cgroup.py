@@ -246,7 +246,7 @@ def cgroup_of(process: int) -> RunCgroup | None:
     return None
 
 
-def sweep_stale_cgroups(hierarchies: Sequence[Hierarchy] | None = None) -> list[str]:
+def sweep_stale_cgroups() -> list[str]:
     """Remove the cgroups of supervisors that live no more, ending what still runs in them.
 
     Groups of another pid namespace are left alone: whether their supervisor lives can't be told from here.
@@ -254,9 +254,8 @@ def sweep_stale_cgroups(hierarchies: Sequence[Hierarchy] | None = None) -> list[
     Returns:
         The directories removed.
     """
-    trees = own_hierarchies() if hierarchies is None else hierarchies
     removed, stale = [], []
-    for directory in sorted(path for tree in trees for path in _groups(tree.mount)):
+    for directory in sorted(path for tree in own_hierarchies() for path in _groups(tree.mount)):
         owner = _owner(directory.rpartition("/")[2])
         if owner is not None and not is_alive(owner):
             stale.append(directory)

@@ -86,8 +86,9 @@ class Watch:
             if self._leave_at is not None and now >= self._leave_at:
                 return self._leave(now)
             if deadline is not None and now >= deadline:
+                message = self._contention.overrun(deadline - self._state.start)
                 deadline = None
-                self._end(StopDecision(Reason.DEADLINE_EXCEEDED, f"it took more than {timeout:g} s"), now)
+                self._end(StopDecision(Reason.DEADLINE_EXCEEDED, message), now)
             if self._kill_at is not None and now >= self._kill_at:
                 return self._kill()
             if now >= times.due:

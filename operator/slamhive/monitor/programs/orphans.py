@@ -33,6 +33,7 @@ from slamhive.monitor.measuring.processes import (
 
 TOKEN = "SLAMHIVE_SUPERVISOR"  # noqa: S105 - a name, no secret
 _SIGTERM = 15
+_END_SECONDS = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,14 +107,13 @@ def find_orphans(process_json: str | os.PathLike[str]) -> list[ProcessIdentity]:
     return [] if record is None else _living(record)
 
 
-def end_orphans(process_json: str | os.PathLike[str], seconds: float = 10.0) -> list[ProcessIdentity]:
+def end_orphans(process_json: str | os.PathLike[str]) -> list[ProcessIdentity]:
     """End all processes of a run and remove its cgroup.
 
     A supervisor that still lives is asked first, so that it ends its run by itself and says so.
 
     Args:
         process_json: The run's process.json.
-        seconds: How long to wait for a living supervisor, and then to try by force.
 
     Returns:
         What could not be ended.
@@ -126,11 +126,11 @@ def end_orphans(process_json: str | os.PathLike[str], seconds: float = 10.0) -> 
         return []
     # A supervisor that lives knows its run better than its record does, and writes a summary.
     if send(record.supervisor, _SIGTERM):
-        deadline = time.monotonic() + seconds
+        deadline = time.monotonic() + _END_SECONDS
         while is_alive(record.supervisor) and time.monotonic() < deadline:
             time.sleep(0.005)
     kill_frozen(record.cgroups)
-    left = end_processes(lambda: _living(record), seconds)
+    left = end_processes(lambda: _living(record), _END_SECONDS)
     remove_directories(record.cgroups)
     return left
 

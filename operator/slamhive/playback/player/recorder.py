@@ -223,14 +223,14 @@ def quantile(values: Sequence[float], share: float) -> float:
 def merge_metrics(path: Path, values: dict[str, Any]) -> None:
     """Add numbers to metrics.json; what the algorithm has written there stays."""
     try:
-        found = json.loads(_read_regular(path))
+        found = json.loads(read_regular(path))
     except (OSError, ValueError, RecursionError):
         found = {}
     known = found if isinstance(found, dict) else {}
     write_atomically(path, json.dumps(values | known, indent=1) + "\n")
 
 
-def _read_regular(path: Path) -> bytes:
+def read_regular(path: Path) -> bytes:
     """Read a file that the algorithm wrote: no link to elsewhere, no pipe to wait on, no endless size."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     with open(descriptor, "rb") as file:  # noqa: PTH123

@@ -74,6 +74,8 @@ class Session:
         wire = self._wire = self._connect()
         write_atomically(self._folder / NODE_FILE, json.dumps({"variables": dict(wire.variables)}) + "\n")
         self._tell("Waiting")
+        # Whoever watches a node that dies looks before all is written: who read the recording is known now.
+        merge_metrics(self._output / "metrics.json", self._numbers)
         (self._folder / READY_FILE).touch()
         if not self._wait_until_ready(wire):
             return
@@ -85,7 +87,7 @@ class Session:
             self._numbers["playSeconds"] = round(time.monotonic() - begun, 3)
             if self._settle():
                 self._silent = wire.has_poses and not self._recorder.count
-                self._tell("Ended", playEnd=self._last_word())
+                self._tell("Ended", playEnd=self._last_word(), message=wire.remark())
 
     def _connect(self) -> Wire:
         """Return the wire to a node of the request's ROS, which alone is imported."""

@@ -110,5 +110,8 @@ class Wire(Protocol):
     def numbers(self) -> dict[str, Any]:
         """Return the counts of playing, for metrics.json."""
 
+    def remark(self) -> str:
+        """Return a sentence about what was odd at the end, but no failure; empty where nothing was."""
+
     def end(self) -> None:
         """End it, and leave nothing of it."""

@@ -38,6 +38,7 @@ class BaselineCell(Model):
         sweep: whose it is.
         settings: the value on each axis of the sweep.
         dataset, dataset_sha256: name and hash of the recording; the hash is None where that isn't known.
+        input: what was taken of the recording, and how it was played; None where that isn't known.
         alignment, evaluation: how it was measured: the alignment, and the hash of the settings.
         memory: kind of memory that was measured.
         tracked: of each repetition, whether it was.
@@ -49,6 +50,7 @@ class BaselineCell(Model):
     settings: dict[str, Any]
     dataset: str | None
     dataset_sha256: _Sha | None = None
+    input: dict[str, Any] | None = None
     alignment: str | None = None
     evaluation: str | None = None
     memory: str | None = None
@@ -150,9 +152,10 @@ def read_baseline(path: Path) -> Baseline:
         raise InputError(f"{path}: not JSON of a baseline: {error}") from None
     body = foreign_baseline(body, str(path)) or body
     if not isinstance(body, dict) or body.get("baseline") != SCHEMA:
-        found = body.get("baseline", body.get("schema")) if isinstance(body, dict) else type(body).__name__
+        told = body if isinstance(body, dict) else {}
+        schema = repr(str(told.get("baseline", told.get("schema", "none")))[:60])
         raise InputError(
-            f"{path}: no baseline of a gate: expected baseline: {SCHEMA}, found {str(found)[:60]!r}; "
+            f"{path}: no baseline of a gate: expected baseline: {SCHEMA}, found {schema}; "
             "slamhive gate --record makes one"
         )
     try:

@@ -107,7 +107,12 @@ async def recording(api: Api) -> AsyncIterator[Recorder]:
                 answer.raise_for_status()
                 begun.set()
                 async for line in answer.content:
-                    recorder.take(plural, json.loads(line))
+                    event = json.loads(line)
+                    if event["type"] == "ERROR" and event["object"].get("code") == 504:
+                        # "Too large resource version": the server's cache is behind its own etcd, as happens
+                        # on a busy machine, and only before the first object.
+                        break
+                    recorder.take(plural, event)
 
     flags = [asyncio.Event() for _ in PATHS]
     tasks = [asyncio.create_task(watch(plural, flag)) for plural, flag in zip(PATHS, flags, strict=True)]

@@ -7,6 +7,7 @@ mod messages;
 use std::collections::BTreeMap;
 use std::net::Ipv4Addr;
 use std::sync::{mpsc, Arc, Mutex};
+use std::time::Duration;
 use std::{env, fs, thread};
 
 use futures::StreamExt;
@@ -25,8 +26,9 @@ fn topic(node: &Node, namespace: &str, name: &str, kind: (&str, &str)) -> Topic 
     node.create_topic(&Name::new(namespace, name).unwrap(), kind, &reliable()).unwrap()
 }
 
+/// Reliable, with room for all that is played. (RustDDS keeps 64 messages of a topic that keeps all.)
 fn reliable() -> QosProfile {
-    QosProfile::publisher_default().history(History::KeepAll)
+    QosProfile::publisher_default().history(History::KeepLast { depth: 4096 })
 }
 
 /// Counts the messages of a topic in a thread of its own, and hands each to a function that returns what to
@@ -91,6 +93,12 @@ fn main() {
     let (tell, told) = mpsc::channel();
     ctrlc::set_handler(move || tell.send(()).unwrap()).unwrap();
     told.recv().unwrap();
+    // What was played to it may still be on its way on a busy machine.
+    let mut before = None;
+    while before.as_ref() != Some(&*counts.lock().unwrap()) {
+        before = Some(counts.lock().unwrap().clone());
+        thread::sleep(Duration::from_secs(2));
+    }
     let lines: Vec<String> = counts
         .lock()
         .unwrap()

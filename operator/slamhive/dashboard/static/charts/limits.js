@@ -82,7 +82,8 @@ export function triedEnds(values, log, few = 10) {
   const room = (high - low) * 0.06 || Math.abs(high) * 0.1 || 1;
   const ends = log ? { min: low / 1.15, max: high * 1.15 } : { min: low - room, max: high + room };
   if (known.length > few) return { ...ends, axisLabel: { showMinLabel: false, showMaxLabel: false } };
-  return { ...ends, axisTick: { customValues: known }, axisLabel: { customValues: known } };
+  const customValues = known.map(clean);
+  return { ...ends, axisTick: { customValues }, axisLabel: { customValues } };
 }
 
 /**

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Lines over the groups of /api/v1/analysis/aggregate, with the interval or the range around them. */
 import { COLOURS, legendOfLines } from '../core/chart.js';
-import { axisName, cell, clip, headingOf, keysText, number } from '../core/format.js';
+import { axisName, cell, clip, headingOf, keysText, number, shorten } from '../core/format.js';
 import { crossed, withField } from './failures.js';
 import { roundEnds, triedEnds } from './limits.js';
 
@@ -41,7 +41,10 @@ export function linesOf(groups, x, y, others) {
     points.push({ x: group.keys[x], figure: group.figures[y], group });
   }
   return [...found]
-    .map(([name, points]) => ({ name, points: points.filter((point) => point.x !== null) }))
+    .map(([name, points]) => ({
+      name: shorten(name, 90),
+      points: points.filter((point) => point.x !== null),
+    }))
     .filter((line) => line.points.length);
 }
 

@@ -7,8 +7,8 @@ import { outsideText, robustLimits, roundEnds, triedEnds } from './limits.js';
 import { CROSS } from './failures.js';
 
 /** Columns and rows of charts: more could not be told apart. */
-export const MOST_ACROSS = 12;
-export const MOST_DOWN = 20;
+const MOST_ACROSS = 12;
+const MOST_DOWN = 20;
 /** Pixels below which a chart shows nothing. */
 const NARROW = 84;
 const TALL = 128;

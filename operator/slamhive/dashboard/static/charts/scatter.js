@@ -105,7 +105,11 @@ export function scatter(data, indices, { xlog, ylog, own = false }, beside = [])
     },
     legend:
       groups || beside.length
-        ? { data: series.filter((one) => one.data.length).map((one) => one.name) }
+        ? {
+            data: series
+              .filter((one, number) => one.data.length || crosses[number]?.data.length)
+              .map((one) => one.name),
+          }
         : undefined,
     tooltip: { trigger: 'item', formatter: tell },
     visualMap: continuous ? range(kept.map(colour.at), colour.heading.title) : undefined,

@@ -76,7 +76,8 @@ export function bestSoFar(data) {
   if (last) curve.push([Math.max(data.computed, Number(last[0])), last[1]]);
   const beside = comparable(data) ? rest.filter((trial) => trial.figures[0] !== null) : [];
   const [lost, dropped] = [
-    [...complete, ...rest].filter((trial) => trial.figures[0] === null),
+    // Of whom nothing is known nobody can say that it failed.
+    [...complete, ...rest].filter((trial) => trial.figures[0] === null && trial.failed !== null),
     rest.filter((trial) => trial.figures[0] !== null && !beside.includes(trial)),
   ];
   const values = [...complete, ...beside].map((trial) => figure(data, trial, 0));

@@ -91,37 +91,16 @@ export function spreadChart(data) {
  * @returns {Drawn}
  */
 export function suspectChart(items) {
-  const shown = items.slice(0, MOST);
-  return {
-    height: 100 + shown.length * 30,
-    option: ({ width }) => ({
-      grid: { left: labelRoom(width, 280), right: 30, top: 26, bottom: 50 },
-      tooltip: {
-        trigger: 'item',
-        formatter: ({ data }) => {
-          const item = data?.item;
-          if (!item) return '';
-          const scale = `scale ${number(item.scale)} ± ${number(item.spread, 2)}, ${item.n} runs`;
-          return `${clip(keysText(item.keys), 100)}\n${scale}`;
-        },
-      },
-      xAxis: { type: 'value', scale: true, name: 'scale of the alignment', nameGap: 26 },
-      yAxis: rowAxis(
-        shown.map((item) => keysText(item.keys)),
-        width,
-        280,
-      ),
-      series: [
-        {
-          type: 'scatter',
-          symbolSize: 11,
-          color: COLOURS[4],
-          data: shown.map((item, at) => ({ value: [item.scale, at], item })),
-          markLine: lineAtOne('true to scale'),
-        },
-      ],
-    }),
-  };
+  return ratioRows(
+    items.slice(0, MOST).map(({ keys, scale, spread, n }) => ({
+      name: keysText(keys),
+      ratio: scale,
+      tooltip: `${clip(keysText(keys), 100)}\nscale ${number(scale)} ± ${number(spread, 2)}, ${n} runs`,
+      color: COLOURS[4],
+    })),
+    'scale of the alignment',
+    'true to scale',
+  );
 }
 
 /**
@@ -130,35 +109,52 @@ export function suspectChart(items) {
  * @returns {Drawn}
  */
 export function nodesChart(items) {
-  const shown = items.slice(0, MOST);
+  return ratioRows(
+    items.slice(0, MOST).map(({ node, ratio, low, high, sentence, verdict }) => ({
+      name: node,
+      ratio,
+      interval: low === null || high === null ? undefined : [low, high],
+      tooltip: clip(sentence, 160),
+      color: COLOURS[verdict === 'slower' ? 4 : 0],
+    })),
+    'CPU time by the others’',
+    'as the others',
+  );
+}
+
+/**
+ * Return a chart of ratios, a row each, with a line at one.
+ * @param {{name: string, ratio: number|null, interval?: number[], tooltip: string, color: string}[]} rows
+ * @param {string} axis what the ratio is of
+ * @param {string} one what a ratio of one says
+ * @returns {Drawn}
+ */
+function ratioRows(rows, axis, one) {
   return {
-    height: 100 + shown.length * 30,
+    height: 100 + rows.length * 30,
     option: ({ width }) => ({
       grid: { left: labelRoom(width, 280), right: 30, top: 26, bottom: 50 },
-      tooltip: {
-        trigger: 'item',
-        formatter: ({ data }) => (data?.item ? clip(data.item.sentence, 160) : ''),
-      },
-      xAxis: { type: 'value', scale: true, name: 'CPU time by the others’', nameGap: 26 },
+      tooltip: { trigger: 'item', formatter: ({ data }) => data?.tooltipText ?? '' },
+      xAxis: { type: 'value', scale: true, name: axis, nameGap: 26 },
       yAxis: rowAxis(
-        shown.map((item) => item.node),
+        rows.map(({ name }) => name),
         width,
         280,
       ),
       series: [
         rowLines(
-          shown.flatMap(({ low, high }, at) => (low === null || high === null ? [] : [[low, high, at]])),
+          rows.flatMap(({ interval }, at) => (interval ? [[...interval, at]] : [])),
           { stroke: COLOURS[5], lineWidth: 5, opacity: 0.45 },
         ),
         {
           type: 'scatter',
           symbolSize: 11,
-          data: shown.map((item, at) => ({
-            value: [item.ratio, at],
-            item,
-            itemStyle: { color: COLOURS[item.verdict === 'slower' ? 4 : 0] },
+          data: rows.map(({ ratio, tooltip, color }, at) => ({
+            value: [ratio, at],
+            tooltipText: tooltip,
+            itemStyle: { color },
           })),
-          markLine: lineAtOne('as the others'),
+          markLine: lineAtOne(one),
         },
       ],
     }),

@@ -81,8 +81,10 @@ export function standings(board, metric) {
         : []),
       `n ${entry.n}`,
     ].join(', ');
+  // On a phone the name of somebody else's algorithm has three lines, and its rank the fourth.
+  const lines = Math.max(...shown.map(({ keys }) => keysText(keys).split(' ').length)) > 2 ? 4 : 3;
   return {
-    height: 66 + shown.length * 42,
+    height: 66 + shown.length * 14 * lines,
     option: ({ width }) =>
       withField(
         {

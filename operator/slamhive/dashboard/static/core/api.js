@@ -46,6 +46,18 @@ export const Live = createContext(
   /** @type {LiveState} */ ({ revision: null, connected: true, problems: [] }),
 );
 
+/** Time after which a server that was busy is asked again, as its Retry-After says, ms. */
+const BUSY_MS = 5000;
+
+/** What asks a busy server again: how often it did, and what does it later if an error says so. */
+function useAgain() {
+  const [tries, setTries] = useState(0);
+  /** @param {ApiError|null|undefined} error */
+  const again = (error) =>
+    error?.status === 503 ? setTimeout(() => setTries((count) => count + 1), BUSY_MS) : undefined;
+  return { tries, again };
+}
+
 const UNKNOWN = { url: null, data: null, current: null, error: null, loading: true };
 
 /**
@@ -57,25 +69,33 @@ const UNKNOWN = { url: null, data: null, current: null, error: null, loading: tr
 export function useData(url) {
   const { revision, connected } = useContext(Live);
   const [state, setState] = useState(/** @type {Loading<any> & {url: string|null}} */ (UNKNOWN));
+  const { tries, again } = useAgain();
   useEffect(() => {
     if (url === null || (state.url === url && revision && state.data?.revision === revision))
       return undefined;
+    /** @type {ReturnType<typeof setTimeout> | undefined} */
+    let later;
     const abort = new AbortController();
     setState((last) => ({ ...last, loading: true }));
     fetchJson(url, abort.signal).then(
       (data) => setState({ url, data, current: null, error: null, loading: false }),
-      (error) =>
-        error.name === 'AbortError' ||
+      (error) => {
+        if (error.name === 'AbortError') return;
+        later = again(error);
         setState((last) => ({
           url,
           data: error.status === 0 ? last.data : null,
           current: null,
           error,
           loading: false,
-        })),
+        }));
+      },
     );
-    return () => abort.abort();
-  }, [url, revision, connected]);
+    return () => {
+      clearTimeout(later);
+      abort.abort();
+    };
+  }, [url, revision, connected, tries]);
   return url === null
     ? { data: null, error: null, loading: false, current: null }
     : { ...state, current: state.url === url ? state.data : null };
@@ -90,7 +110,10 @@ export function useAll(urls) {
   const { revision } = useContext(Live);
   const key = urls.map(String).join(' ');
   const [state, setState] = useState(null);
+  const { tries, again } = useAgain();
   useEffect(() => {
+    /** @type {ReturnType<typeof setTimeout> | undefined} */
+    let later;
     const abort = new AbortController();
     Promise.all(
       urls.map(
@@ -101,13 +124,17 @@ export function useAll(urls) {
             (error) => ({ data: null, error }),
           ),
       ),
-    ).then(
-      (answers) =>
-        abort.signal.aborted ||
-        setState({ key, answers: answers.map((one) => one || { data: null, error: null }) }),
-    );
-    return () => abort.abort();
-  }, [key, revision]);
+    ).then((answers) => {
+      if (abort.signal.aborted) return;
+      const found = answers.map((one) => one || { data: null, error: null });
+      later = again(found.find(({ error }) => error?.status === 503)?.error);
+      setState({ key, answers: found });
+    });
+    return () => {
+      clearTimeout(later);
+      abort.abort();
+    };
+  }, [key, revision, tries]);
   return state?.key === key ? state.answers : null;
 }
 

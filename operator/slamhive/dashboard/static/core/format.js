@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Values as people read them. */
+import DEFAULTS from './defaults.json' with { type: 'json' };
 
 const STATUS_CLASS = new Map(
   Object.entries({
@@ -26,6 +27,13 @@ export function number(value, digits = 4) {
   if (Number.isInteger(value)) return size < 1e4 ? String(value) : value.toLocaleString('en');
   return String(Number(value.toPrecision(Math.max(digits, Math.ceil(Math.log10(size))))));
 }
+
+/**
+ * Return a count with its noun: "1 run", "3 runs".
+ * @param {number} count
+ * @param {string} noun
+ */
+export const plural = (count, noun) => `${number(count)} ${noun}${count === 1 ? '' : 's'}`;
 
 /**
  * Return an ISO time or seconds since 1970 in the reader's zone.
@@ -121,13 +129,12 @@ export function bytes(value) {
 export function cpuColumn(columns) {
   const named = (/** @type {string} */ name) => columns.find((one) => one.name === name);
   const realtime = named('input.pace')?.values?.some((one) => one.value === 'Realtime');
-  return !realtime && named('usage.cpu.secondsPerDataSecond')
-    ? 'usage.cpu.secondsPerDataSecond'
-    : 'usage.cpu.meanCores';
+  const { unpaced, paced } = DEFAULTS.cpu;
+  return !realtime && named(unpaced) ? unpaced : paced;
 }
 
 /** Columns whose values say by themselves what they are. */
-export const SUBJECT = ['algorithm', 'sensors', 'dataset'];
+export const SUBJECT = DEFAULTS.subject;
 const TITLES = new Map(
   Object.entries({
     'input.frameRate': 'frame rate [Hz]',

@@ -2,7 +2,7 @@
 /** Legends that show every name in full: the drawing grows by the rows that they take. */
 
 /** Pixels of a letter, of the sign before a name with the gaps around it, and of a row. */
-const LETTER = 6.4;
+const LETTER = 7;
 const SIGN = 40;
 const ROW = 22;
 /** More rows than these would be longer than the drawing: the reader turns their pages. */
@@ -27,20 +27,21 @@ export function fitted(option, width) {
     ),
   ].filter(Boolean);
   const room = width - 10;
-  let rows = 1;
+  const long = names.some((name) => name.length * LETTER + SIGN > room);
+  let rows = long ? 0 : 1;
   let used = 0;
   for (const name of names) {
     const needs = name.length * LETTER + SIGN;
-    if (used && used + needs > room) {
+    // Texts that may break have all the same width: each name begins a row.
+    if (long) rows += Math.max(1, Math.ceil((needs - SIGN) / Math.max(room - SIGN, LETTER)));
+    else if (used && used + needs > room) {
       rows += 1;
       used = 0;
     }
-    rows += Math.max(0, Math.ceil((needs - SIGN) / Math.max(room - SIGN, LETTER)) - 1);
     used += needs;
   }
   if (rows > MOST) return { option, more: 0 };
-  const more = (rows - 1) * ROW;
-  const long = names.some((name) => name.length * LETTER + SIGN > room);
+  const more = Math.max(0, rows - 1) * ROW;
   const textStyle = long ? { textStyle: { width: room - SIGN, lineHeight: 14, overflow: 'break' } } : {};
   /** @param {any} one */
   const lower = (one) => ({ ...one, top: one.top + more });

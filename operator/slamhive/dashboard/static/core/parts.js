@@ -84,15 +84,6 @@ export const Waiting = () => html`
 `;
 
 /**
- * An answer's body, or what stands in its place. @template T
- * @param {{state: {data: T|null, error: Error|null}, children: (data: T) => Shown}} props
- */
-export const Loaded = ({ state, children }) => html`
-  <${Fault} error=${state.error} />
-  ${state.data ? children(state.data) : !state.error && html`<${Waiting} />`}
-`;
-
-/**
  * A run's status in words and colour.
  * @param {{value: string}} props
  */

@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 /** The questions that SLAM Hive's paper asks, as saved analyses. */
+import DEFAULTS from './defaults.json' with { type: 'json' };
 import { cpuColumn } from './format.js';
+
+const FEATURES = new RegExp(DEFAULTS.features, 'i');
 
 /**
  * @param {Api.Column[]} columns
@@ -50,45 +53,14 @@ const shared = (columns, pattern, groups) => {
   return one && only ? `${one.name.split('.').at(-1)} ${only.value}` : '';
 };
 
-/** The tables of the ICRA 2023 paper, which averaged over all runs but a few. */
-const PUBLISHED = [
-  {
-    title: 'Table III as published',
-    page: '/table',
-    settings: {
-      by: 'sensors,algorithm,dataset',
-      metrics: 'ate.rmse,usage.cpu.meanCores,usage.cpu.maxCores,usage.memory.peakBytes',
-      figures: 'mean',
-      outcomes: 'all',
-      where: "dataset != 'rgbd-dataset-freiburg2-desk' and run not in (53, 103, 122)",
-    },
-    note:
-      'As in the paper: runs 53, 103 (0.446 m) and 122 are left out, and runs that did not track to the ' +
-      'end count like all others, run 63 with 47 % of its path among them. The leaderboard leaves out ' +
-      'none and ranks failures last.',
-  },
-  {
-    title: 'Table IV as published',
-    page: '/table',
-    settings: {
-      by: 'parameters.nFeatures',
-      metrics: 'ate.rmse,rpe[0].rmse,usage.cpu.meanCores,usage.cpu.maxCores,usage.memory.peakBytes',
-      figures: 'mean',
-      outcomes: 'all',
-      where: "dataset == 'rgbd-dataset-freiburg2-desk' and run not in (124, 139, 140)",
-    },
-    note:
-      'As in the paper: means over five runs each, runs 124, 139 and 140 left out, and runs that did not ' +
-      'track to the end count like all others.',
-  },
-];
-
 /**
  * Return the presets that draw the paper's own tables; [] where its runs are not here.
  * @param {Api.Column[]} columns
  */
 export const published = (columns) =>
-  named(columns, 'label.source')?.values?.some((one) => one.value === 'slam-hive') ? PUBLISHED : [];
+  named(columns, 'label.source')?.values?.some((one) => one.value === 'slam-hive')
+    ? DEFAULTS.papersTables
+    : [];
 
 /**
  * Return the column that tells a front from a back camera.
@@ -121,8 +93,7 @@ export function questions(columns) {
   const when = (holds, settings) => (holds ? settings : null);
   /** @type {{facet?: string}} */
   const apart = varies(columns, 'dataset') ? { facet: 'dataset' } : {};
-  const features =
-    first(columns, /^parameters\..*(n|num|max)_?features?$/i, ['parameters']) ?? 'parameters.nFeatures';
+  const features = first(columns, FEATURES, ['parameters']) ?? 'parameters.nFeatures';
   const loops =
     first(columns, /loop/i, ['dataset']) ??
     first(columns, /loop/i, ['metrics']) ??
@@ -133,7 +104,7 @@ export function questions(columns) {
   const isPlayed = ['Realtime', 'Stepped'].some((pace) => has(columns, 'input.pace', [pace]));
   const byPace = {
     ...(varies(columns, 'input.pace') ? { facet: 'input.pace' } : apart),
-    where: isPlayed ? "input.pace in ('Realtime', 'Stepped')" : 'beside.online.ate.rmse is not null',
+    where: DEFAULTS.played[isPlayed ? 0 : 1] ?? '',
   };
   return [
     ask(

@@ -139,6 +139,11 @@ export async function answer(url) {
   if (query.get('where') && !Object.hasOwn(known.table.conditions, query.get('where')))
     throw new ApiError(CONDITIONS, NOT_HERE);
   if (path === `${API}/runs`) return runsOf(known.table, query, fileOf);
+  const [, kind, name] = /^\/api\/v1\/(sweep|algorithm|dataset)s\/([^/]+)/.exec(path) ?? [];
+  if (kind !== undefined && name !== undefined && !Object.hasOwn(known.answers, `${API}/${kind}s/${name}`)) {
+    const said = `This site has no page of the ${kind} '${decodeURIComponent(name)}'.`;
+    throw new ApiError(said, 404, 'name');
+  }
   if (path === `${API}/analysis/points`) return pointsOf(known.table, query, fileOf);
   throw new ApiError(UNASKED, NOT_HERE);
 }

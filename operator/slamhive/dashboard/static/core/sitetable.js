@@ -178,6 +178,13 @@ async function once(table, rows, files) {
 }
 
 /**
+ * Tell whether a value comes before another one, as from the API: numbers, then texts.
+ * @param {NonNullable<Api.Value>} one
+ * @param {NonNullable<Api.Value>} other
+ */
+const isBefore = (one, other) => (typeof one === typeof other ? one < other : typeof one === 'number');
+
+/**
  * Put rows in an order; what is missing comes last either way.
  * @param {SiteTable} table
  * @param {number[]} rows
@@ -201,7 +208,7 @@ async function inOrder(table, rows, sort, files) {
       if (one === other) continue;
       if (one === null) return 1;
       if (other === null) return -1;
-      return one < other ? -turned : turned;
+      return isBefore(one, other) ? -turned : turned;
     }
     return a - b;
   });
@@ -272,7 +279,7 @@ function headingOf(table, name) {
 function coded({ kind, at }, rows) {
   if (['number', 'integer', 'time'].includes(kind)) return { kind, values: rows.map(at) };
   const categories = [...new Set(rows.map(at).filter((value) => value !== null))].sort((a, b) =>
-    String(a) < String(b) ? -1 : 1,
+    isBefore(a, b) ? -1 : 1,
   );
   /** @type {Map<Api.Value, number>} */
   const places = new Map(categories.map((value, place) => [value, place]));

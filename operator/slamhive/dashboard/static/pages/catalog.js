@@ -2,7 +2,7 @@
 /** Algorithms and datasets: what they are and how their runs ended. */
 import { address, useAddress } from '../core/address.js';
 import { useData } from '../core/api.js';
-import { cell, clip, number } from '../core/format.js';
+import { cell, clip, plural } from '../core/format.js';
 import { Fault, Link, Status, useTitle, Waiting } from '../core/parts.js';
 import { TruthLink } from '../core/truth.js';
 import { html } from '../core/ui.js';
@@ -73,7 +73,7 @@ function Short({ item, kind }) {
     ${item.description && html`<p>${clip(item.description, 400)}</p>`}
     ${what && html`<p class="quiet">${clip(what, 200)}</p>`}
     <p>
-      <${Link} href=${address('/runs', { [ONE[kind]]: item.name })}>${number(item.runs)} runs</${Link}>
+      <${Link} href=${address('/runs', { [ONE[kind]]: item.name })}>${plural(item.runs, 'run')}</${Link}>
     </p>
     <p class="statuses">
       ${Object.entries(item.statuses ?? {}).map(

@@ -4,7 +4,7 @@ import { overTime, shared, since, spanOf, truthsOf } from '../charts/trajectory.
 import { address, SITE, useAddress } from '../core/address.js';
 import { useAll, useData } from '../core/api.js';
 import { Chart, COLOURS } from '../core/chart.js';
-import { cell, clip, keysText, number, SUBJECT } from '../core/format.js';
+import { cell, clip, keysText, number, plural, SUBJECT } from '../core/format.js';
 import {
   Choice,
   Download,
@@ -194,7 +194,7 @@ function Finder({ taken, onAdd, full }) {
               ${
                 data.total
                   ? [
-                      `${number(data.total)} runs fit`,
+                      `found: ${plural(data.total, 'run')}`,
                       data.total > offered.length ? 'more words leave fewer' : '',
                     ]
                       .filter(Boolean)

@@ -54,28 +54,32 @@ const FIELD_OF = { by: 'x', metrics: 'y', metric: 'y' };
 const COLOUR_LABELS = { contour: 'Other setting', ecdf: 'Curves', heat: 'Rows', pareto: 'Competitors' };
 /** What stands in the place of a column of colours that isn't chosen. @type {Record<string, string>} */
 const NO_COLOUR = { contour: 'the first that varies', ecdf: 'algorithm' };
+/** Drawings of groups of runs: a load, which is another in each run, makes none. */
+const OVER_GROUPS = ['line', 'heat', 'contour', 'multiples'];
 const FIELDS = ['x', 'y', 'colour', 'facet', 'down', 'across', 'outcomes'];
 
 /**
  * Return the settings of an address, with what is shown where it names nothing: the setting that was varied
- * most for one algorithm, as what algorithms have by default tells nothing but them, if all runs have it, and
- * who reached what.
+ * most for one algorithm, as what algorithms have by default tells nothing but them, if all runs have it or
+ * groups are drawn, and who reached what.
  * @param {Query} query
  * @param {Pick<Api.Columns, 'items'|'varied'|'rows'>} known facts about the columns
  * @returns {Settings}
  */
 export function settingsOf(query, { items: columns, varied: settings, rows }) {
   const varied = columns.filter((one) => one.distinct > 1);
-  const guess =
-    mostVaried(varied.filter((one) => isNumeric(one) && settings.includes(one.name) && one.count === rows)) ??
-    varied.find((one) => one.name === cpuColumn(columns)) ??
-    varied.find(isNumeric);
   /**
    * @param {string} name
    * @param {string} [otherwise]
    */
   const at = (name, otherwise) => query.get(name, otherwise);
   const kind = KINDS.some(([one]) => one === at('kind')) ? at('kind') : 'scatter';
+  const numbers = varied.filter((one) => isNumeric(one) && settings.includes(one.name));
+  const guess =
+    mostVaried(numbers.filter((one) => one.count === rows)) ??
+    mostVaried(OVER_GROUPS.includes(kind) ? numbers : []) ??
+    varied.find((one) => one.name === cpuColumn(columns)) ??
+    varied.find(isNumeric);
   const y = at('y', 'ate.rmse');
   const apart = !at('x') && ['scatter', 'box'].includes(kind);
   return {
@@ -407,6 +411,7 @@ function Drawing({ set, data, title, csv }) {
     ...new Set([
       ...(data.mixed ?? []).map((/** @type {{sentence: string}} */ one) => one.sentence),
       ...(data.notes ?? []),
+      ...(set.kind === 'scatter' ? unplaced(data) : []),
       ...(decades(data) > 4 && !set.ylog
         ? [`Values span ${decades(data)} decades: “log y” tells the small ones apart`]
         : []),
@@ -482,6 +487,16 @@ function Drawing({ set, data, title, csv }) {
       `
     }
   `;
+}
+
+/**
+ * Return a sentence on the runs that no point can stand for, as they have nothing on the horizontal axis.
+ * @param {Api.Points} data
+ */
+function unplaced(data) {
+  const x = readAxis(data.axes.x);
+  const count = Array.from(data.id).filter((_, index) => x.at(index) === null).length;
+  return count ? [`${count} of ${data.count} have no ${clip(x.heading.title, 60)} and are not drawn`] : [];
 }
 
 /**

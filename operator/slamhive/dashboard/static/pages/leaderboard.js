@@ -5,6 +5,7 @@ import { interval, MOST, onFew, scores, standings } from '../charts/standings.js
 import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
+import DEFAULTS from '../core/defaults.json' with { type: 'json' };
 import { columnOptions, Filters, isMeasure, shownByFilters, useColumns } from '../core/filters.js';
 import { clip, columnTitle, keysText, number } from '../core/format.js';
 import {
@@ -27,11 +28,7 @@ import { failureText, groupTable, onPhone } from './groups.js';
 import { PublishedRows, usePublished } from './published.js';
 
 /** What tells competitors apart. */
-export const COMPETITORS = [
-  ['algorithm,sensors', 'algorithm and sensors'],
-  ['algorithm', 'algorithm'],
-  ['algorithm,sensors,algorithm.version', 'algorithm, sensors, version'],
-];
+export const COMPETITORS = DEFAULTS.competitors;
 
 /**
  * Return the columns that tell competitors apart unless the address says it: with earlier versions too,
@@ -125,7 +122,7 @@ export default function Leaderboard() {
             </${Download}>${' '}
             <${TruthLink} filters=${query.filters()} />
           </p>
-          <${Pooled} pooled=${state.data.pooled} by=${state.data.by} />
+          <${Pooled} pooled=${state.data.pooled} whose=${state.data.whose} by=${state.data.by} />
           ${state.data.boards.map(
             (/** @type {Api.Board} */ board) => html`
               <${Board}
@@ -186,19 +183,20 @@ function Timely({ data, csv }) {
 }
 
 /**
- * The settings that each row is over, which no run has all of, and where they are told apart.
- * @param {{pooled: Record<string, number>, by: string[]}} props
+ * The settings that rows are over, which no run has all of, whose, and where they are told apart.
+ * @param {{pooled: Record<string, number>, whose: Record<string, string[]>, by: string[]}} props
  */
-function Pooled({ pooled, by }) {
+function Pooled({ pooled, whose, by }) {
   const { query } = useAddress();
   const names = Object.keys(pooled);
   if (names.length === 0) return null;
   return html`
     <p>
-      Each row is over
+      Rows are over
       ${names.slice(0, 3).map(
         (name, at) => html`
           ${at ? ', ' : ' '}${number(pooled[name])} values of ${clip(columnTitle(name), 60)}${' ('}
+          ${whose[name] && `${clip(whose[name].join(', '), 60)}; `}
           <${Link} href=${address('/leaderboard', query.with({ by: [...by, name].join(',') }))}>
             tell them apart
           </${Link}>)

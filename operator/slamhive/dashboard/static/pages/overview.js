@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /** The start page: what there is, what is running, and what one may ask. */
-import { address } from '../core/address.js';
+import { address, SITE } from '../core/address.js';
 import { useData } from '../core/api.js';
 import { number } from '../core/format.js';
 import { Empty, Fault, Link, Notes, useTitle, Waiting } from '../core/parts.js';
@@ -16,6 +16,8 @@ const COUNTED = [
   ['datasets', 'datasets', '/datasets'],
   ['live', 'running now', null],
 ];
+/** What is shown of them: a site has what had ended when it was built. */
+const SHOWN = COUNTED.filter(([name]) => !SITE || name !== 'live');
 const MOST_SWEEPS = 12;
 
 export default function Overview() {
@@ -42,7 +44,7 @@ export default function Overview() {
       counts &&
       html`
         <dl class="counts">
-          ${COUNTED.filter(([name]) => counts[name] !== undefined).map(
+          ${SHOWN.filter(([name]) => counts[name] !== undefined).map(
             ([name, text, href]) => html`
               <div>
                 <dt>${text}</dt>

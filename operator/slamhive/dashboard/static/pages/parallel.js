@@ -4,7 +4,7 @@ import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart, COLOURS } from '../core/chart.js';
 import { isNumeric } from '../core/filters.js';
-import { cell, clip, cpuColumn, headingOf, number } from '../core/format.js';
+import { cell, clip, cpuColumn, headingOf, number, plural } from '../core/format.js';
 import { NothingFits, Notes, Table, Waiting } from '../core/parts.js';
 import { html, useEffect, useMemo, useState } from '../core/ui.js';
 import { dressed } from '../core/runrows.js';
@@ -88,7 +88,7 @@ export function Parallel({ set, columns, filters, onError }) {
   return html`
     ${query.get('embed') !== '1' && html`<p>${field}</p>`}
     <${Chart}
-      title=${`${number(data.items.length)} runs over ${axes.length} axes`}
+      title=${`${plural(data.items.length, 'run')} over ${axes.length} axes`}
       option=${option}
       height=${420}
       csv=${csvOf(address('/api/v1/runs', asked))}

@@ -6,7 +6,7 @@ import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { COLOURS } from '../core/chart.js';
 import { Filters, shownByFilters, useColumns } from '../core/filters.js';
-import { cell, clip, keysText, number } from '../core/format.js';
+import { cell, clip, keysText, number, plural } from '../core/format.js';
 import { Choice, Fault, Link, NothingFits, Notes, Status, Table, useTitle, Waiting } from '../core/parts.js';
 import { html, useMemo } from '../core/ui.js';
 import { Tracks } from './tracks.js';
@@ -100,7 +100,7 @@ function Together({ group, alone, colour, csv }) {
   ];
   return html`
     <section>
-      <h2>${clip(title, 120)} <span class="quiet">${number(runs.length)} runs</span></h2>
+      <h2>${clip(title, 120)} <span class="quiet">${plural(runs.length, 'run')}</span></h2>
       ${
         drawn.estimates.length > 0 &&
         html`

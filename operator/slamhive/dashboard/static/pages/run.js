@@ -222,9 +222,9 @@ const MOST_SETTINGS = 6;
  * Return the settings of a run in words: those that tell it from others like it, or its first parameters.
  * @param {Api.Run} run
  */
-function settingsOf({ configuration, varied }) {
+function settingsOf({ configuration, attributes, varied }) {
   const pairs = flat(configuration, null);
-  const known = new Map(pairs);
+  const known = new Map([...pairs, ...flat(attributes, null, 'dataset.attributes')]);
   const told = varied.length
     ? varied.map((one) => namedValue(one, known.get(one.name)))
     : pairs

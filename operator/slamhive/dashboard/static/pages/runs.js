@@ -3,7 +3,7 @@
 import { address, Query, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { columnOptions, Filters, isEmpty, shownByFilters, useColumns } from '../core/filters.js';
-import { clip, cpuColumn, number } from '../core/format.js';
+import { clip, cpuColumn, number, plural } from '../core/format.js';
 import { foremost, useNarrow } from '../core/narrow.js';
 import {
   Download,
@@ -134,7 +134,7 @@ export default function Runs() {
               marked.length > 0 &&
               html`
                 <${Link} href=${address('/compare', new Query().with({ uid: marked }))}>
-                  Compare ${marked.length} ${marked.length === 1 ? 'run' : 'runs'}
+                  Compare ${plural(marked.length, 'run')}
                 </${Link}>
               `
             }

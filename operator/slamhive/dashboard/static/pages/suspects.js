@@ -5,7 +5,7 @@ import { truthChart } from '../charts/truth.js';
 import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
-import { cell, clip, columnTitle, number } from '../core/format.js';
+import { cell, clip, columnTitle, number, plural } from '../core/format.js';
 import { Download, Fault, Link, Notes, Table, Waiting } from '../core/parts.js';
 import { html, useMemo } from '../core/ui.js';
 
@@ -192,7 +192,7 @@ function Truth({ one }) {
         ${title}${' '}
         <span class="quiet">
           ${rows.length === 0 ? 'nothing suspect' : `${rows.length} suspect`} in${' '}
-          ${number(found.seconds, 4)} s, by ${one.runs} runs of ${found.systems.length} algorithms
+          ${number(found.seconds, 4)} s, by ${plural(one.runs, 'run')} of ${found.systems.length} algorithms
         </span>
       </h3>
       <${Chart}

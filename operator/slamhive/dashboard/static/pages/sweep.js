@@ -75,7 +75,7 @@ function One({ name, namespace }) {
     ],
     ['first run began', sweep.started && time(sweep.started)],
     ['last run ended', sweep.finished && time(sweep.finished)],
-    ['evaluation', sweep.evaluation && clip(cell(sweep.evaluation), 200)],
+    ['evaluation', sweep.evaluation && clip(inWords(sweep.evaluation), 300)],
     ...shareFacts(sweep.share ?? {}),
   ].filter(([, value]) => value);
   const finished = (sweep.phases?.Succeeded ?? 0) + (sweep.phases?.Failed ?? 0);
@@ -188,6 +188,21 @@ function One({ name, namespace }) {
 }
 
 /**
+ * Return nested values in words: "alignment Auto, success (minCoverage 0.9)".
+ * @param {any} value
+ * @returns {string}
+ */
+const inWords = (value) =>
+  Object.entries(value)
+    .map(([name, one]) => {
+      const parts = [one]
+        .flat()
+        .map((part) => (part && typeof part === 'object' ? `(${inWords(part)})` : cell(part)));
+      return `${name} ${parts.join(', ')}`;
+    })
+    .join(', ');
+
+/**
  * What it has of the cluster, as its status tells.
  * @param {Record<string, any>} share
  */
@@ -195,6 +210,7 @@ function shareFacts(share) {
   const slots = share.of ? ` of ${share.of}` : '';
   return [
     ['fair share', share.fair !== undefined && `${share.fair}${slots} runs at a time`],
+    ['priority', share.priority && clip(share.priority, 400)],
     ['place in the line', share.place],
     ['begins', share.begin],
     ['ends', share.end],

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Sweeps in short: how far each is, what became of its runs, and how their errors lie. */
 import { address, Query } from '../core/address.js';
-import { clip, number, statusClass, time } from '../core/format.js';
+import { clip, number, plural, statusClass, time } from '../core/format.js';
 import { Link, Status } from '../core/parts.js';
 import { html } from '../core/ui.js';
 
@@ -21,9 +21,12 @@ export function Progress({ sweep }) {
   const rest = Object.entries(phases).filter(
     ([phase, count]) => count && !['Succeeded', 'Failed'].includes(phase),
   );
-  const title = `${finished} of ${total} runs of ${clip(sweep.name, 80)} are finished`;
+  // A search ends before all the runs that it might have had: its bar tells outcomes, not how far it is.
+  const of = sweep.search ? '' : ` of ${total}`;
+  const title = `${finished}${of} runs of ${clip(sweep.name, 80)} are finished`;
+  const share = sweep.search ? 1 : finished / (total || 1);
   return html`
-    <${Bar} statuses=${sweep.statuses} share=${finished / (total || 1)} title=${title} />
+    <${Bar} statuses=${sweep.statuses} share=${share} title=${title} />
     <p>
       <b>${number(finished)}</b>${sweep.search ? '' : ` of ${number(total)}`} runs finished
       ${finished < total && !sweep.search ? ` (${number((100 * finished) / total, 3)} %)` : ''}
@@ -149,7 +152,7 @@ const SingleCard = ({ single, level }) => html`
   <article class="card">
     <${level}>
       <${Link} href=${address('/sweeps', { single: 1 })}>
-        ${number(single.runs)} single ${single.runs === 1 ? 'run' : 'runs'}
+        ${plural(single.runs, 'single run')}
       </${Link}>
       ${single.live && html`<span class="status live">live</span>`}
     </${level}>
@@ -207,7 +210,7 @@ export function Spread({ sweep }) {
       html`
         <p class="quiet small">
           ATE over the smallest on the same dataset, 1 to ${number(most, 3)} times, logarithmic${
-            left > 0 ? `; ${left} more algorithms are left out` : ''
+            left > 0 ? `; left out: ${plural(left, 'more algorithm')}` : ''
           }
         </p>
       `
@@ -237,7 +240,7 @@ export function Versions({ sweep, namespace }) {
           runsOf(sweep.name, namespace).with({ superseded: 1, where: 'superseded is not null' }),
         )}
       >
-        ${number(sweep.superseded)} superseded ${sweep.superseded === 1 ? 'run' : 'runs'}
+        ${plural(sweep.superseded, 'superseded run')}
       </${Link}>`,
     );
   return (
@@ -280,8 +283,11 @@ function SweepCard({ sweep, namespace, level }) {
         sweep.best?.length > 0 &&
         html`
           <p>
-            smallest ATE:${' '}
-            ${sweep.best.slice(0, 3).map(
+            smallest ATE${
+              sweep.best.length < (sweep.datasets?.length ?? 0) &&
+              ` (on ${sweep.best.length} of ${sweep.datasets.length} datasets)`
+            }:${' '}
+            ${sweep.best.map(
               (best, at) => html`
                 ${at > 0 && ', '}
                 <${Link}

@@ -4,7 +4,7 @@ import { importanceCharts } from '../charts/importance.js';
 import { bestSoFar, growingFront, settingLines } from '../charts/search.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
-import { cell, clip, number } from '../core/format.js';
+import { cell, clip, number, plural } from '../core/format.js';
 import { useNarrow } from '../core/narrow.js';
 import { Fault, Table, Waiting } from '../core/parts.js';
 import { html, useMemo, useState } from '../core/ui.js';
@@ -53,8 +53,8 @@ function Told({ data, url }) {
       html`
         <${Chart} title="Best so far" option=${curve} height=${340} csv=${csv} table=${table} />
         <p class="quiet">
-          Each circle is a setting with all of its ${data.block} runs: ${data.averaged}, of runs that did not
-          fail; a setting of which fewer runs failed is always better. What was dropped had fewer
+          Each circle is a setting with all of its runs, ${data.block} each: ${data.averaged}, of runs that
+          did not fail; a setting of which fewer runs failed is always better. What was dropped had fewer
           runs${many ? ' and not on all datasets, so its figure has no place on this axis' : ''}. Results that
           were taken over from equal runs cost none.
         </p>
@@ -65,8 +65,8 @@ function Told({ data, url }) {
       html`
         <${Chart} title="Front" option=${front} height=${380} csv=${csv} table=${table} />
         <p class="quiet">
-          Settings with all of their ${data.block} runs: ${data.averaged}, of runs that did not fail. On a
-          line none is better than another in both.
+          Settings with all of their runs, ${data.block} each: ${data.averaged}, of runs that did not fail. On
+          a line none is better than another in both.
         </p>
       `
     }
@@ -99,7 +99,7 @@ function sentence(data) {
   const taken = data.ended - data.computed;
   return html`
     <b>${data.method}</b>${goals && ` to make ${goals}`}: ${clip(data.message, 400)}.
-    ${` ${number(data.computed)} runs were computed`}${
+    ${` Computed: ${plural(data.computed, 'run')}`}${
       taken > 0 && `, ${number(taken)} took the result of an equal one`
     }.
   `;
@@ -107,7 +107,7 @@ function sentence(data) {
 
 /** @param {Api.SweepSearch} data */
 const toCome = (data) =>
-  `To come: about ${number(data.expected)} runs by what a setting took so far, ` +
+  `To come: about ${plural(data.expected, 'run')} by what a setting took so far, ` +
   `at most ${number(data.toCome)}` +
   `${data.secondsLeft === null ? '' : `; about ${duration(data.secondsLeft)} at the pace so far`}.`;
 

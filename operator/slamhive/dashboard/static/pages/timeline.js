@@ -5,7 +5,7 @@ import { address, go, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { Filters, shownByFilters, useColumns } from '../core/filters.js';
-import { cell, number } from '../core/format.js';
+import { cell, number, plural } from '../core/format.js';
 import { Fault, NothingFits, Notes, runLink, Status, useTitle, Waiting } from '../core/parts.js';
 import { html, useMemo } from '../core/ui.js';
 
@@ -71,7 +71,7 @@ function Times({ data, csv, change }) {
         `
       }
       <span>
-        ${number(data.runs)} runs${data.failed ? `, ${number(data.failed)} failed` : ''}${
+        ${plural(data.runs, 'run')}${data.failed ? `, ${number(data.failed)} failed` : ''}${
           data.live ? `, ${number(data.live)} under way` : ''
         }
       </span>
@@ -84,7 +84,7 @@ function Times({ data, csv, change }) {
       csv=${csv}
       table=${data.bars ? barTable(data, data.bars) : undefined}
       onClick=${look}
-      summary=${`Timeline of ${data.runs} runs in ${data.lanes.length} lanes; the CSV has their times`}
+      summary=${`Timeline of ${plural(data.runs, 'run')} (lanes: ${data.lanes.length}); the CSV has times`}
     />
     <p class="key">
       ${KEY.map(

@@ -2,7 +2,7 @@
 /** Before and after: what an edited algorithm or dataset changed, with its test. */
 import { ratioChart, settingText, toldApart } from '../charts/ratios.js';
 import { Chart } from '../core/chart.js';
-import { cell, clip, number, time } from '../core/format.js';
+import { cell, clip, number, plural, time } from '../core/format.js';
 import { Table } from '../core/parts.js';
 import { html, useMemo } from '../core/ui.js';
 import { failureText } from './groups.js';
@@ -25,7 +25,7 @@ const Version = ({ one }) => html`
   <code>${one.version}</code>
   <br />
   <small>
-    ${number(one.runs)} ${one.runs === 1 ? 'run' : 'runs'}
+    ${plural(one.runs, 'run')}
     ${one.last ? `, last ${time(one.last)}` : ''}
   </small>
 `;

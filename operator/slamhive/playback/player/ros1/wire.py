@@ -119,6 +119,10 @@ class Ros1Wire:
         """Return the counts of playing: `rosbag play` has none."""
         return self._clockwork.numbers() if self._clockwork is not None else {}
 
+    def remark(self) -> str:
+        """Return nothing: what a ROS 1 node asks for can't be told."""
+        return ""
+
     def end(self) -> None:
         """End the bag, then the master."""
         for program in (self._bag, self._master):

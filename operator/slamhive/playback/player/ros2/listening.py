@@ -44,6 +44,7 @@ MESSAGES = {
 _LOOK_SECONDS, _PATIENT_SECONDS = 0.004, 0.02
 """Between two looks, where what is played waits for poses and where nothing does."""
 _END_SECONDS = 10.0
+_NUMBERING, _NUMBER = "rmw_fastrtps_cpp", "publication_sequence_number"
 
 
 def everything(reliability: Any, durability: Any = DurabilityPolicy.VOLATILE) -> Any:
@@ -73,13 +74,25 @@ class Ros2Ears:
             EARS, context=context, start_parameter_services=False, enable_rosout=False
         )
         self._sources = [_PoseTopics(self._node, source, track) for source, track in sources]
-        kept = everything(ReliabilityPolicy.RELIABLE)
+        # A reliable subscriber gets all in order: the number of the newest tells how many came, without the
+        # others being kept. Other makes than Fast DDS don't number messages.
+        self._numbered = rclpy.get_rmw_implementation_identifier() == _NUMBERING
+        kept = QoSProfile(depth=1) if self._numbered else everything(ReliabilityPolicy.RELIABLE)
         self._witnesses = {topic: _Taken(self._node, topic, kind, kept) for topic, kind in played.items()}
-        self.heard = dict.fromkeys(played, 0)
+        self._heard = dict.fromkeys(played, 0)
+        self._lock = threading.Lock()
         self._pause = _LOOK_SECONDS if hasty else _PATIENT_SECONDS
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._listen, name="ears", daemon=True)
         self._thread.start()
+
+    def heard(self) -> Mapping[str, int]:
+        """Take what the witness has, and return the number of messages that it heard, by the topic."""
+        with self._lock:
+            for topic, witness in self._witnesses.items():
+                for _, _, number in witness:
+                    self._heard[topic] = number or self._heard[topic] + 1
+        return self._heard
 
     def end(self) -> None:
         """Stop listening."""
@@ -91,12 +104,16 @@ class Ros2Ears:
         while not self._stop.wait(self._pause):
             for source in self._sources:
                 source.take()
-            for topic, witness in self._witnesses.items():
-                self.heard[topic] += sum(1 for _ in witness)
+            if not self._numbered:
+                self.heard()
 
 
 class _Taken:
-    """Iterates over the messages that a subscription has now: bytes, and when they came (wall clock, ns)."""
+    """Iterates over the messages that a subscription has now.
+
+    Yields:
+        Bytes, when they came (wall clock, ns), and the message's number; None where it has none.
+    """
 
     def __init__(self, node: Any, topic: str, kind: type, qos: Any) -> None:
         self._kind = kind
@@ -114,7 +131,8 @@ class _Taken:
                 found = handle.take_message(self._kind, True)
             if found is None:
                 return
-            yield found[0], found[1].get("received_timestamp") or time.time_ns()
+            about = found[1]
+            yield found[0], about.get("received_timestamp") or time.time_ns(), about.get(_NUMBER)
 
     def end(self) -> None:
         self._node.destroy_subscription(self._subscription)
@@ -158,7 +176,7 @@ class _PoseTopics:
     def _take(self, taken: _Taken) -> int:
         """Take the messages that are there, and return their number."""
         count = 0
-        for data, arrival in taken:
+        for data, arrival, _ in taken:
             count += 1
             try:
                 self._track.poses(self._poses(data), arrival)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 import resource
 import struct
 import sys
@@ -13,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rclpy  # type: ignore[import-not-found]
-from rcl_interfaces.srv import GetParameters  # type: ignore[import-not-found]
 from rclpy.context import Context  # type: ignore[import-not-found]
 from rclpy.event_handler import PublisherEventCallbacks  # type: ignore[import-not-found]
 from rclpy.executors import SingleThreadedExecutor  # type: ignore[import-not-found]
@@ -27,6 +25,8 @@ from rosgraph_msgs.msg import Clock  # type: ignore[import-not-found]
 
 from slamhive.playback.player.poses import NANOSECONDS, POSE_TYPES
 from slamhive.playback.player.ros2.listening import EARS, MESSAGES, Ros2Ears, everything
+from slamhive.playback.player.ros2.overrides import overrides, undeclared
+from slamhive.playback.player.ros2.parameters import ParameterQuestion
 from slamhive.playback.player.ros2.strangers import Strangers
 from slamhive.playback.player.ros2.types import forget_errors, is_by_name, message_type
 from slamhive.playback.player.wire import Obstacle
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
     from slamhive.playback.player.recorder import Track
     from slamhive.playback.player.ros2.bags import RecordedTopic
+    from slamhive.playback.player.ros2.overrides import Overrides
     from slamhive.playback.player.wire import Message
     from slamhive.playback.protocol import PlayRequest, PoseSource
 
@@ -48,10 +49,12 @@ _ALONE_SECONDS = 0.4
 """Time in which all that are on a domain are seen: participants answer a newcomer at once."""
 _MATCH_SECONDS = 1.0
 """Time that a node's side of a match may take after ours."""
-_ANSWERED_SECONDS = 0.3
-"""The same of a node that answers already."""
+_ANSWERED_SECONDS = 0.1
+"""The same of a node that answers already: what was announced before the question is known to it."""
 _MEANT_SECONDS = 3.0
 """Time after a node in which another one, whose parameters a file has, may start."""
+_REMARK_SECONDS = 3.0
+"""Time in which nodes are asked for their parameters at the end."""
 _BLOCKED_SECONDS = 5.0
 _WAITING_BYTES = 600 << 20
 """Of messages that a node doesn't take, until playing to it ends."""
@@ -83,8 +86,9 @@ class PlayerNode:
         self._topics = topics
         self._refused: dict[str, str] = {}
         self._matched_at: float | None = None
+        self._meant: list[Overrides] | None = None
         self._meant_at: float | None = None
-        self._guards: dict[str, _ParameterQuestion] = {}
+        self._guards: dict[str, ParameterQuestion] = {}
         self._slowest = 0.0
         self._context = Context()
         try:
@@ -92,6 +96,7 @@ class PlayerNode:
             self._node = rclpy.create_node(
                 PLAYER, context=self._context, start_parameter_services=False, enable_rosout=False
             )
+            self._begin = time.monotonic()
             kinds = {topic: message_type(one.type, one.digest) for topic, one in topics.items()}
             made = {topic: self._publisher(topic, kind) for topic, kind in kinds.items()}
             self._publishers = {topic: one for topic, one in made.items() if one is not None}
@@ -138,10 +143,9 @@ class PlayerNode:
         sys.stderr.write(f"{told}\n")
         return None
 
-    @property
     def heard(self) -> Mapping[str, int]:
         """Number of messages that the witness heard, by the topic."""
-        return self._ears.heard
+        return self._ears.heard()
 
     def publish(self, message: Message) -> None:
         """Publish a message.
@@ -164,15 +168,26 @@ class PlayerNode:
         told = [guard.simulated for guard in self._guards.values() if guard.simulated is not None]
         return {"usesSimulatedTime": any(told)} if told else {}
 
+    def remark(self) -> str:
+        """Return a sentence about parameters that are set and no node declares; empty where there are none.
+
+        Asked at the end, when nodes have time to answer and have declared what they do late.
+        """
+        given, deadline = overrides(self._request.algorithm), time.monotonic() + _REMARK_SECONDS
+        declared: dict[str, frozenset[str] | None] = {}
+        for name, guard in self._guards.items():
+            names = {parameter for one in given if one.is_for(name) for parameter in one.names}
+            in_time = bool(names) and time.monotonic() < deadline
+            declared[name] = guard.declared(names, self._executor) if in_time else None
+        return undeclared(given, declared)
+
     def others(self, stopped: Callable[[], bool]) -> list[str]:
         """Return the nodes that are on the domain before the algorithm is."""
-        deadline = time.monotonic() + _ALONE_SECONDS
-        while time.monotonic() < deadline and not stopped():
-            self._executor.spin_once(timeout_sec=0.05)
+        while True:
             found = sorted(set(self._nodes()))
-            if found:
+            if found or time.monotonic() > self._begin + _ALONE_SECONDS or stopped():
                 return found
-        return []
+            self._executor.spin_once(timeout_sec=0.05)
 
     def _nodes(self) -> list[str]:
         """Return the names of nodes that aren't ours."""
@@ -278,7 +293,7 @@ class PlayerNode:
         """Return the fault of the transport: a node that has services of parameters answers over it."""
         for name in self._nodes():
             if name not in self._guards:
-                self._guards[name] = _ParameterQuestion(self._node, name)
+                self._guards[name] = ParameterQuestion(self._node, name)
             if not self._guards[name].is_over():
                 return Obstacle(
                     f"{name} did not answer",
@@ -293,13 +308,19 @@ class PlayerNode:
         Raises:
             PlayError: It has been so for as long as further nodes may take to start.
         """
-        nodes, meant = self._nodes(), self._request.parameters_of
-        if not nodes or not meant or any(_is_for(section, name) for section in meant for name in nodes):
+        nodes, file = self._nodes(), self._request.parameters
+        if not nodes or file is None:
+            return None
+        if self._meant is None:
+            given = overrides(self._request.algorithm)
+            self._meant = [one for one in given if one.source.endswith(f"/{file}")]
+        if not self._meant or any(one.is_for(name) for one in self._meant for name in nodes):
             return None
         self._meant_at = self._meant_at or time.monotonic()
         if time.monotonic() > self._meant_at + _MEANT_SECONDS:
+            meant = ", ".join(one.section for one in self._meant)
             raise PlayError(
-                f"ros2.parameters: the file is for {', '.join(meant)}, and the nodes are "
+                f"ros2.parameters: the file is for {meant}, and the nodes are "
                 f"{', '.join(sorted(set(nodes)))}, which take nothing of it; above ros__parameters stands a "
                 "node's name, or /** for any",
                 "AlgorithmFailed",
@@ -331,51 +352,6 @@ class PlayerNode:
         self._executor.shutdown(timeout_sec=1.0)
         self._node.destroy_node()
         self._context.try_shutdown()
-
-
-class _ParameterQuestion:
-    """A question to a node that shows whether data reach it: whether it takes simulated time.
-
-    Args:
-        node: Who asks.
-        name: Who is asked.
-    """
-
-    def __init__(self, node: Any, name: str) -> None:
-        self._node, self._name = node, name
-        self._client = node.create_client(GetParameters, f"{name}/get_parameters")
-        self._answer: Any = None
-        self._begin = time.monotonic()
-        self.simulated: bool | None = None
-
-    def is_over(self) -> bool:
-        """Tell whether it has answered, or has no such service."""
-        if self._answer is None:
-            if not self._client.service_is_ready():
-                # Without the service there is nothing to ask; it may be announced a moment after the node.
-                return time.monotonic() > self._begin + _MATCH_SECONDS and not self._is_announced()
-            self._answer = self._client.call_async(GetParameters.Request(names=["use_sim_time"]))
-        if not self._answer.done():
-            return False
-        with suppress(Exception):
-            values = self._answer.result().values
-            self.simulated = bool(values and values[0].bool_value)
-        return True
-
-    def _is_announced(self) -> bool:
-        space, _, own = self._name.rpartition("/")
-        with suppress(RuntimeError):  # the node went meanwhile
-            found = self._node.get_service_names_and_types_by_node(own, space or "/")
-            return any(service == self._client.srv_name for service, _ in found)
-        return False
-
-
-def _is_for(section: str, node: str) -> bool:
-    """Tell whether a section of a params file is for a node; * stands for one name, ** for any number."""
-    pattern = re.escape("/" + section.strip("/"))
-    for stars, names in ((r"/\*\*", "(/.*)?"), (r"\*", "[^/]+")):
-        pattern = pattern.replace(stars, names)
-    return re.fullmatch(pattern, node) is not None
 
 
 def _resident() -> int:

@@ -48,7 +48,7 @@ _PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
           <transport_id>slamhive_shm</transport_id>
           <transport_id>slamhive_udp</transport_id>
         </userTransports>
-        <useBuiltinTransports>false</useBuiltinTransports>
+        <useBuiltinTransports>false</useBuiltinTransports>{discovery}
         <propertiesPolicy>
           <properties>
             <property><name>fastdds.type_propagation</name><value>disabled</value></property>
@@ -62,6 +62,14 @@ _PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 # Otherwise a player's witness would be handed what it should see go over the wire.
 _OVER_THE_WIRE = """
   <library_settings><intraprocess_delivery>OFF</intraprocess_delivery></library_settings>"""
+# What a node announces as it starts is often not heard: it then meets the player at the player's next word,
+# which by default comes each 3 s.
+_ANNOUNCED_OFTEN = """
+        <builtin>
+          <discovery_config>
+            <leaseAnnouncement><sec>0</sec><nanosec>200000000</nanosec></leaseAnnouncement>
+          </discovery_config>
+        </builtin>"""
 
 
 def profile(largest: int, *, own: bool) -> str:
@@ -75,6 +83,7 @@ def profile(largest: int, *, own: bool) -> str:
     """
     return _PROFILE.format(
         library=_OVER_THE_WIRE if own else "",
+        discovery=_ANNOUNCED_OFTEN if own else "",
         segment=max(_SEGMENT, _FRAMES * largest) if own else _NODE_SEGMENT,
         message=_MESSAGE if own else _NODE_MESSAGE,
         socket=_SOCKET,

@@ -57,11 +57,11 @@ class Ros2Wire:
     ) -> None:
         self._request = request
         self._recorder = recorder
+        _keep_memory()
         self._bag = Ros2Bag(request.recording, request.topics | request.remap)
         for topic in request.topics.values():
             if topic not in self._bag.topics:
                 raise PlayError(f"the recording has no topic {topic}, which the node is to be given")
-        _keep_memory()
         shm.remove_dead_segments()
         check_rmw(request.rmw)
         check_room(self._bag.largest)
@@ -158,6 +158,10 @@ class Ros2Wire:
         """Return the counts of playing, for metrics.json."""
         return self._clockwork.numbers() | self._node.numbers()
 
+    def remark(self) -> str:
+        """Return a sentence about parameters that nobody took; empty where there are none."""
+        return self._node.remark()
+
     def end(self) -> None:
         """Leave the domain, and nothing in shared memory."""
         self._node.end()
@@ -180,7 +184,7 @@ class Ros2Wire:
             )
 
     def _lost(self) -> dict[str, int]:
-        heard = self._node.heard
+        heard = self._node.heard()
         return {
             topic: self._published[topic] - count
             for topic, count in heard.items()
