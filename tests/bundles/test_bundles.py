@@ -29,6 +29,20 @@ if TYPE_CHECKING:
     Command = Callable[..., tuple[int, str, str]]
 
 HERE = Path(__file__).parent
+BESIDE = """\
+apiVersion: slamhive.io/v1alpha1
+kind: Dataset
+metadata: {name: own}
+spec:
+  recording: {files: [{path: recording.bag}]}
+  sensors: {lidar: {type: Lidar, topic: /points}}
+  groundTruth: {file: own.txt}
+---
+apiVersion: slamhive.io/v1alpha1
+kind: Sweep
+metadata: {name: beside}
+spec: {template: {spec: {algorithmRef: {name: actor}, datasetRef: {name: own}}}}
+"""
 AGREE = "figures of 2 results of 2 runs agree to the last digit, 0 do not"
 
 
@@ -78,6 +92,38 @@ def test_a_dataset_that_stood_beside_its_sweep_is_the_archives(
     code, _, err = run_command("bundle", "acts", *words)
     assert code == 0, err
     assert (tmp_path / "again.zip").read_bytes() == study.read_bytes()
+
+
+def test_a_dataset_with_files_beside_its_sweep_is_found_by_that_file(
+    studied: Path, tiny: Path, tmp_path: Path, run_command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home, folder = tmp_path / "home", tmp_path / "mine"
+    shutil.copytree(studied, home, symlinks=True, ignore=shutil.ignore_patterns("archive.*", "runs"))
+    shutil.copytree(next(tiny.glob("tiny-*")), folder)
+    # Nor is its algorithm known by name: that one stood in a file of the command, too.
+    shutil.copytree(home / "algorithms" / "actor", folder, dirs_exist_ok=True)
+    shutil.rmtree(home / "algorithms")
+    (folder / "mine.yaml").write_text(BESIDE)
+    (folder / "edited.yaml").write_text(BESIDE.replace("topic: /points", "topic: /other"))
+    (folder / "groundtruth.txt").rename(folder / "own.txt")
+    monkeypatch.setenv("SLAMHIVE_HOME", str(home))
+    code, _, err = run_command("run", folder / "algorithm.yaml", folder / "mine.yaml")
+    assert code == 0, err
+    file = tmp_path / "new.zip"
+    for more, said in (
+        ([], "dataset 'own' has files of its own and is not known here"),
+        (["--dataset", folder / "edited.yaml"], "dataset: 'own' is not as the runs used it"),
+        (["--dataset", folder / "algorithm.yaml"], "no Dataset in it"),
+    ):
+        code, _, err = run_command("bundle", "beside", "-o", file, *more)
+        assert code == 2
+        assert said in " ".join(err.split())
+        assert not file.exists()
+    code, _, err = run_command("bundle", "beside", "-o", file, "--dataset", folder / "mine.yaml")
+    assert code == 0, err
+    code, out, err = run_command("verify", file, "--ground-truth", folder)
+    assert code == 0, err
+    assert "of 1 result of 1 run agree to the last digit, 0 do not" in " ".join(out.split())
 
 
 def test_a_study_stays_its_own_beside_the_same_program_of_somebody_else(

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from slamhive import __version__
 from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
 from slamhive.analysis.subjects import SubjectItem
+from slamhive.archive import CatalogEntry
 from slamhive.bridges.bundles import contents
 from slamhive.bridges.bundles.anonymity import (
     anonymous_record,
@@ -39,6 +40,7 @@ from slamhive.local.home.catalog import bundled
 from slamhive.local.home.changes import current_uid
 from slamhive.local.home.sweeping import sweeps_meant
 from slamhive.local.running.evaluating import TrajectoryEvaluator
+from slamhive.model.algorithm import Algorithm
 from slamhive.model.catalogue import find_sequence
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError, SlamHiveError
@@ -51,7 +53,8 @@ from slamhive.tables.searches import most_runs, sweep_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from slamhive.archive import CatalogEntry, SweepRecord
+    from slamhive.archive import SweepRecord
+    from slamhive.local.home.catalog import DatasetPlace
     from slamhive.local.running.workbench import Workbench
     from slamhive.model.results import RunRecord
 
@@ -69,6 +72,8 @@ class BundleOrder:
         authors, license: of the study.
         anonymous: whether everything is taken out that tells whose it is.
         settings: of Evaluations beside the sweep's own settings.
+        datasets: with files of their own that stood beside the sweep, each with the folder its paths start
+            from.
     """
 
     sweep: str
@@ -77,6 +82,7 @@ class BundleOrder:
     license: str | None = None
     anonymous: bool = False
     settings: tuple[EvaluationSettings, ...] = ()
+    datasets: tuple[DatasetPlace, ...] = ()
 
 
 @dataclass
@@ -304,16 +310,12 @@ class _BundleMaking:
         spec = without_nothing(spec)
         self._write_text(path, manifest(entry.kind, entry.name, labels, spec))
         license_, homepage = spec.get("license"), spec.get("homepage")
+        self._make_known(entry)
         if entry.kind == "Algorithm":
             self._algorithms[path] = StudyAlgorithm(
                 name=entry.name, manifest=path, license=license_, homepage=homepage
             )
             return
-        if entry.name not in self._bench.workshop.datasets:
-            # It stood beside the sweep in its file. What is generated or fetched follows from the manifest.
-            made = Dataset.model_validate({"metadata": {"name": entry.name}, "spec": entry.spec})
-            if not made.spec.recording.files:
-                self._bench.workshop.add([made], self._bench.home.path)
         citation = None
         if entry.spec.get("catalogue"):
             with suppress(SlamHiveError):
@@ -322,6 +324,37 @@ class _BundleMaking:
         self._datasets[path] = StudyDataset(
             name=entry.name, manifest=path, truth=self._truth(entry.name), license=license_, citation=citation
         )
+
+    def _make_known(self, entry: CatalogEntry) -> None:
+        """Take in what stood in a file beside the sweep, and is known here by the archive alone.
+
+        How runs are measured follows from an Algorithm's manifest, and from that of a dataset which is
+        generated or fetched; files of a dataset's own are found from the folder of its manifest.
+
+        Raises:
+            InputError: nobody says where a dataset's files are, or its manifest has changed since.
+        """
+        workshop, folder = self._bench.workshop, self._bench.home.path
+        given = next((one for one in self._order.datasets if one.dataset.name == entry.name), None)
+        if entry.kind == "Dataset" and given is not None:
+            if CatalogEntry.of(given.dataset).content_hash != entry.content_hash:
+                raise InputError(
+                    f"{entry.name!r} is not as the runs used it: {self._order.sweep!r} is over another "
+                    "recording of that name, or its manifest was edited since",
+                    "dataset",
+                )
+            workshop.add([given.dataset], given.folder)
+            return
+        if entry.name in (workshop.datasets if entry.kind == "Dataset" else workshop.algorithms):
+            return
+        kind = Dataset if entry.kind == "Dataset" else Algorithm
+        made = kind.model_validate({"metadata": {"name": entry.name}, "spec": entry.spec})
+        if isinstance(made, Dataset) and made.spec.recording.files:
+            raise InputError(
+                f"dataset {entry.name!r} has files of its own and is not known here: it stood in a file of "
+                "its sweep's, and paths start from there; name that file: --dataset FILE"
+            )
+        workshop.add([made], folder)
 
     def _take_environment(self, record: RunRecord) -> None:
         digest = record.provenance.environment

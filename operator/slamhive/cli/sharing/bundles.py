@@ -30,8 +30,10 @@ from slamhive.cli.parts.exits import FAILED, INTERRUPTED
 from slamhive.cli.parts.planning import planned, sweeps_of
 from slamhive.cli.parts.tables import show, write_json
 from slamhive.cli.parts.waiting import Work
+from slamhive.local.home.catalog import DatasetPlace
 from slamhive.local.home.folder import Home
 from slamhive.model.base import plural
+from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError, SlamHiveError
 from slamhive.model.evaluation import Evaluation, EvaluationSettings
 from slamhive.model.loading import load_file
@@ -63,6 +65,14 @@ def make_bundle(
         list[Path] | None,
         typer.Option(metavar="FILE", help="Manifest of an Evaluation of these runs; may be repeated."),
     ] = None,
+    dataset: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help="File with a dataset of these runs that isn't known here by its name, such as the sweep's; "
+            "may be repeated.",
+        ),
+    ] = None,
 ) -> None:
     """Write a study as one file: manifests, results, trajectories, environments; not the recordings.
 
@@ -75,7 +85,13 @@ def make_bundle(
     if anonymous and author:
         raise InputError("--anonymous takes out authors: leave out --author")
     order = BundleOrder(
-        sweep, title, tuple(author or ()), license_, anonymous, tuple(_settings(evaluation or []))
+        sweep,
+        title,
+        tuple(author or ()),
+        license_,
+        anonymous,
+        tuple(_settings(evaluation or [])),
+        tuple(_datasets(dataset or [])),
     )
     home = Home.from_environment()
     with Work(f"bundling {sweep}") as work:
@@ -106,6 +122,16 @@ def _settings(files: list[Path]) -> list[EvaluationSettings]:
             )
             for item in evaluations
         ]
+    return found
+
+
+def _datasets(files: list[Path]) -> list[DatasetPlace]:
+    found = []
+    for path in files:
+        datasets = [item for item in load_file(path) if isinstance(item, Dataset)]
+        if not datasets:
+            raise InputError(f"{path}: no Dataset in it", "dataset")
+        found += [DatasetPlace(item, path.parent.absolute()) for item in datasets]
     return found
 
 
