@@ -117,12 +117,7 @@ class Release:
 
     def _charts(self, source: Path, out: Path) -> None:
         (out / "charts").mkdir()
-        helm = find_helm()
-        for chart in CHARTS:
-            with tempfile.TemporaryDirectory() as folder:
-                run(helm, "package", source / "helm" / chart, "--destination", folder)
-                made = next(Path(folder).glob("*.tgz"))
-                repack(made, out / "charts" / made.name, self._epoch)
+        pack_charts(find_helm(), source, out / "charts", self._epoch)
 
     def _container_images(self, source: Path, out: Path) -> None:
         if not self._images:
@@ -184,6 +179,25 @@ def find_helm() -> str:
         except ClusterError as error:
             sys.exit(f"no helm, and it can't be built: {error}")
         found = str(programs.path_of("helm"))
+    return found
+
+
+def pack_charts(helm: str | Path, source: Path, out: Path, moment: int) -> dict[str, Path]:
+    """Write the archives of a tree's charts, and return them by the charts' names.
+
+    Args:
+        helm: the program.
+        source: the tree.
+        out: folder for the archives.
+        moment: time of all that is in them.
+    """
+    found = {}
+    for chart in CHARTS:
+        with tempfile.TemporaryDirectory() as folder:
+            run(helm, "package", source / "helm" / chart, "--destination", folder)
+            made = next(Path(folder).glob("*.tgz"))
+            found[chart] = out / made.name
+            repack(made, found[chart], moment)
     return found
 
 

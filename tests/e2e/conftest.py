@@ -19,6 +19,7 @@ from onnode import documents  # noqa: E402
 from onnode.documents import ROOT, Desk  # noqa: E402
 from onnode.first import First, follow  # noqa: E402
 from onnode.lab import CLASS, Lab, disk, stand_in  # noqa: E402
+from release import pack_charts  # noqa: E402
 from testcluster.fixtures import *  # noqa: E402, F403
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def node_with_images(node_cluster: Cluster) -> Cluster:
 
 @pytest.fixture(scope="session")
 def desk(node_with_images: Cluster, tmp_path_factory: pytest.TempPathFactory) -> Desk:
-    """A checkout with kubectl and helm on the PATH."""
+    """A checkout with kubectl and helm on the PATH, its charts packed as in a release."""
     helm = os.environ.get("HELM") or shutil.which("helm")
     cached = Path(node_with_images.kubectl_path).parents[2] / "bin" / "helm"
     if helm is None and not cached.exists():
@@ -69,7 +70,7 @@ def desk(node_with_images: Cluster, tmp_path_factory: pytest.TempPathFactory) ->
     (programs / "kubectl").symlink_to(node_with_images.kubectl_path)
     path = f"{programs}:{os.environ['PATH']}"
     made = Desk(programs / "checkout", node_with_images.environment | {"PATH": path})
-    made.lay_out()
+    made.lay_out(pack_charts(programs / "helm", ROOT, programs, moment=0))
     return made
 
 

@@ -61,11 +61,17 @@ class Desk:
     folder: Path
     environment: Mapping[str, str]
 
-    def lay_out(self) -> None:
-        """Put links to what the documents' commands name into the folder."""
-        self.folder.mkdir()
-        for name in ("helm", "images", "examples", "crds"):
-            (self.folder / name).symlink_to(ROOT / name)
+    def lay_out(self, charts: Mapping[str, Path]) -> None:
+        """Put links to what the documents' commands name into the folder.
+
+        Args:
+            charts: what stands for the charts, by their names. Helm takes an archive wherever it takes a
+                folder, so that commands on a checkout install what a release has.
+        """
+        (self.folder / "helm").mkdir(parents=True)
+        links = {name: ROOT / name for name in ("images", "examples", "crds")}
+        for name, target in (links | {f"helm/{name}": path for name, path in charts.items()}).items():
+            (self.folder / name).symlink_to(target)
 
     def run(self, script: str, timeout: float = 900) -> str:
         """Run a block; all of its commands have to succeed. Returns what they print."""
