@@ -181,6 +181,16 @@ def test_choices_that_need_a_server_say_so(browser: Browser, published: str) -> 
     assert "running now" not in browser.text()
 
 
+def test_boards_are_told_apart_where_that_was_computed(browser: Browser, published: str) -> None:
+    browser.open(f"{published}#/leaderboard")
+    browser.click("main a", "tell them apart")
+    browser.wait("document.querySelector('main table')?.innerText.includes('sensors, nFeatures')")
+    assert "no figures for that choice" not in browser.text()
+    browser.open(f"{published}#/leaderboard?metric=coverage")
+    browser.wait("document.body.innerText.includes('values of nFeatures.')")
+    assert "tell them apart" not in browser.text()
+
+
 def test_an_update_adds_and_addresses_stay(
     archive_url: str, tmp_path: Path, make_run: Callable[[int], RunRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:

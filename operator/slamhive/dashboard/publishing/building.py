@@ -230,7 +230,8 @@ class _Building:
         """Ask all questions; what is known by now are the answers that others follow from."""
         columns = questions.AskedColumns(await self._known(f"{questions.API}/columns"))
         await self._known(f"{questions.API}/sweeps")
-        await self._known(_RANKS)
+        for question in questions.told_apart(await self._known(_RANKS)):
+            await self._ask(question)
         sweeps = sorted(sweep_names(self._snapshot.frame))
         named = {
             "sweeps": [name for _, name in sweeps],

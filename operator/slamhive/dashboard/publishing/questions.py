@@ -45,6 +45,9 @@ MOST_VALUES = 40
 MOST_GROUPED = 3
 """Figures over groups by each setting: an error and two costs."""
 
+MOST_TOLD = 3
+"""Settings that leaderboards are over and link to, as pages/leaderboard.js does it."""
+
 MOST_CROSSED = 3
 """Settings that are crossed with algorithms and datasets: such groups are many."""
 
@@ -181,6 +184,18 @@ def of_all(columns: AskedColumns) -> Iterator[str]:
         yield address(f"{ANALYSIS}/leaderboard", *asked)
         yield address(f"{ANALYSIS}/compare", *asked)
     yield from _with_conditions(columns)
+
+
+def told_apart(ranks: Mapping[str, Any] | None) -> Iterator[str]:
+    """Go through what the first leaderboard leads to: a setting that its rows are over tells them apart.
+
+    Args:
+        ranks: that leaderboard; None where it is refused.
+    """
+    for name in list((ranks or {}).get("pooled") or ())[:MOST_TOLD]:
+        asked = ("metric", ERROR), ("by", f"{COMPETITORS[0]},{name}"), ("outcomes", "tracked")
+        yield address(f"{ANALYSIS}/leaderboard", *asked)
+        yield address(f"{ANALYSIS}/compare", *asked)
 
 
 def _of_metric(columns: AskedColumns, metric: str, outcomes: tuple[str, str]) -> Iterator[str]:

@@ -139,6 +139,31 @@ export function useAll(urls) {
 }
 
 /**
+ * Return those of some addresses of the API that have an answer: of a server all, of a site what was computed
+ * when it was made, and none until that is known.
+ * @param {string[]} urls
+ * @returns {string[]}
+ */
+export function useAnswered(urls) {
+  const [found, setFound] = useState(/** @type {string[]} */ ([]));
+  const key = urls.join(' ');
+  useEffect(() => {
+    if (!SITE || key === '') return undefined;
+    let isLeft = false;
+    import('./site.js')
+      .then((site) => site.computed(key.split(' ')))
+      .then(
+        (one) => isLeft || setFound(one),
+        () => {},
+      );
+    return () => {
+      isLeft = true;
+    };
+  }, [key]);
+  return SITE ? found : urls;
+}
+
+/**
  * Add `format=csv` to an address of the API: the table behind it.
  * @param {string} url
  */

@@ -149,6 +149,18 @@ export async function answer(url) {
 }
 
 /**
+ * Return those of some addresses of the API that figures were computed for.
+ * @param {string[]} urls
+ */
+export async function computed(urls) {
+  const { answers } = await index();
+  return urls.filter((url) => {
+    const [path = '', search = ''] = url.split('?');
+    return Object.hasOwn(answers, keyOf(path, Query.parse(search)));
+  });
+}
+
+/**
  * Let the browser keep what an address of the API gives as a file.
  * @param {string} href
  */

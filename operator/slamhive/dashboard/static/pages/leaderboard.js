@@ -3,7 +3,7 @@
 import { causal } from '../charts/causal.js';
 import { interval, MOST, onFew, scores, standings } from '../charts/standings.js';
 import { address, useAddress } from '../core/address.js';
-import { csvOf, useData } from '../core/api.js';
+import { csvOf, useAnswered, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import DEFAULTS from '../core/defaults.json' with { type: 'json' };
 import { columnOptions, Filters, isMeasure, shownByFilters, useColumns } from '../core/filters.js';
@@ -122,7 +122,7 @@ export default function Leaderboard() {
             </${Download}>${' '}
             <${TruthLink} filters=${query.filters()} />
           </p>
-          <${Pooled} pooled=${state.data.pooled} whose=${state.data.whose} by=${state.data.by} />
+          <${Pooled} data=${state.data} asked=${query.filters().with(set)} />
           ${state.data.boards.map(
             (/** @type {Api.Board} */ board) => html`
               <${Board}
@@ -182,27 +182,45 @@ function Timely({ data, csv }) {
   `;
 }
 
+/** Settings that rows are over and that are named. */
+const MOST_TOLD = 3;
+
 /**
  * The settings that rows are over, which no run has all of, whose, and where they are told apart.
- * @param {{pooled: Record<string, number>, whose: Record<string, string[]>, by: string[]}} props
+ * @param {{data: Api.Leaderboard, asked: import('../core/address.js').Query}} props asked: for what
  */
-function Pooled({ pooled, whose, by }) {
+function Pooled({ data: { pooled, whose, by }, asked }) {
   const { query } = useAddress();
   const names = Object.keys(pooled);
+  const told = names.slice(0, MOST_TOLD).map((name) => {
+    const apart = { by: [...by, name].join(',') };
+    return { name, apart, url: address('/api/v1/analysis/leaderboard', asked.with(apart)) };
+  });
+  const answered = useAnswered(told.map(({ url }) => url));
   if (names.length === 0) return null;
   return html`
     <p>
       Rows are over
-      ${names.slice(0, 3).map(
-        (name, at) => html`
-          ${at ? ', ' : ' '}${number(pooled[name])} values of ${clip(columnTitle(name), 60)}${' ('}
-          ${whose[name] && `${clip(whose[name].join(', '), 60)}; `}
-          <${Link} href=${address('/leaderboard', query.with({ by: [...by, name].join(',') }))}>
-            tell them apart
-          </${Link}>)
-        `,
-      )}
-      ${names.length > 3 && `, and ${names.length - 3} further settings`}.
+      ${told.map(({ name, apart, url }, at) => {
+        const beside = [
+          whose[name] && clip(whose[name].join(', '), 60),
+          answered.includes(url) &&
+            html`
+              <${Link} href=${address('/leaderboard', query.with(apart))}>
+                tell them apart
+              </${Link}>
+            `,
+        ].filter(Boolean);
+        return html`
+          ${at ? ', ' : ' '}${number(pooled[name])} values of ${clip(columnTitle(name), 60)}${
+            beside.length > 0 &&
+            html`
+              ${' ('}${beside[0]}${beside.length > 1 && html`${'; '}${beside[1]}`})
+            `
+          }
+        `;
+      })}
+      ${names.length > MOST_TOLD && `, and ${names.length - MOST_TOLD} further settings`}.
     </p>
   `;
 }
@@ -330,7 +348,7 @@ function Board({ board, metric, by, csv, suspects, beside }) {
       <${Table}
         columns=${narrow ? foremost(columns, ['rank', 'competitor', ...only, 'ratio']) : columns}
         rows=${rows}
-        caption=${`Leaderboard on ${clip(named, 100)}`}
+        caption=${['Leaderboard on', clip(named, 100), clip(facets, 100)].filter(Boolean).join(' ')}
         fixed=${2}
       />
       ${
