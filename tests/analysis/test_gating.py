@@ -54,6 +54,25 @@ def test_a_figure_is_held_against_its_margin(now: tuple[float, ...], expected: G
     assert answer(cell(NOISY, now)).answer is expected
 
 
+@pytest.mark.parametrize(
+    ("name", "beside", "now", "expected"),
+    [
+        ("usage.undisturbedSeconds", False, (0.85, 0.86, 0.84), GateAnswer.BETTER),
+        ("usage.undisturbedSeconds", True, (0.85, 0.86, 0.84), GateAnswer.NO_WORSE),
+        ("usage.undisturbedSeconds", True, (0.5, 0.51, 0.49), GateAnswer.BETTER),
+        ("usage.memory.peakBytes", True, (0.85, 0.86, 0.84), GateAnswer.BETTER),
+        ("ate.rmse", True, (0.85, 0.86, 0.84), GateAnswer.BETTER),
+    ],
+)
+def test_a_quieter_hour_makes_nothing_better(
+    *, name: str, beside: bool, now: tuple[float, ...], expected: GateAnswer
+) -> None:
+    before, after = (GateRuns([True] * len(of), {name: of}) for of in (NOISY, now))
+    (found,) = Gate([GateFigure(name, 0.3)], is_beside_others=beside).look([GateCell("a", before, after)])
+    assert found.answer is expected
+    assert ("a quieter hour" in found.why) == (expected is GateAnswer.NO_WORSE)
+
+
 def test_what_varies_in_nothing_needs_a_second_run_where_it_changed_and_none_where_it_did_not() -> None:
     still = (1.0, 1.0, 1.0)
     assert answer(cell(still, (1.0,))).answer is GateAnswer.NO_WORSE

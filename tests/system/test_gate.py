@@ -27,6 +27,7 @@ def recorded(system: Any) -> Path:
     code, said, problems = system("gate", sweep, "--record", "base.json")
     assert code == 0, problems
     assert "base.json: 2 settings, 2 runs each, 0 not tracked" in said
+    assert all("disturbed" in cell.values for cell in read_baseline(system.folder / "base.json").cells)
     return system.folder / "base.json"
 
 

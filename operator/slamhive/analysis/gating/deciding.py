@@ -38,6 +38,8 @@ ALARMS = 0.05
 _LEAST_BETTER = 0.001
 """Change below which nothing is called better: digits of another processor."""
 
+_HOUR = "better, or a quieter hour: other work ran beside runs"
+
 
 class GateAnswer(StrEnum):
     """Answer of a gate on a figure."""
@@ -93,6 +95,8 @@ class Gate:
         looks: how often it was looked.
         findings: answers of the last look; empty before the first.
         refused: figures that can't be compared, with the reason.
+        is_beside_others: whether runs of either side may have had other work beside them. Hours differ in
+            that: a load is then better only by more than its margin, which is for what such work does.
     """
 
     figures: Sequence[GateFigure]
@@ -100,6 +104,7 @@ class Gate:
     looks: int = 0
     findings: list[GateFinding] = field(default_factory=list)
     refused: dict[str, str] = field(default_factory=dict)
+    is_beside_others: bool = False
     _settled: dict[str, GateFinding] = field(default_factory=dict)
     _passing: Spending = field(init=False)
 
@@ -138,7 +143,10 @@ class Gate:
             if chance_worse <= level and one.beyond:
                 answer = GateAnswer.WORSE
             elif chance_better <= level and finding.shift < -_LEAST_BETTER:
-                answer = GateAnswer.BETTER
+                if self._may_be_the_hour(finding):
+                    finding, answer = replace(finding, why=_HOUR), GateAnswer.NO_WORSE
+                else:
+                    answer = GateAnswer.BETTER
             elif one.passes:
                 answer = GateAnswer.NO_WORSE
             elif name in self._settled:
@@ -156,6 +164,11 @@ class Gate:
             for number in open_:
                 self.findings[number] = replace(self.findings[number], why="still open when it ended")
         return self.findings
+
+    def _may_be_the_hour(self, finding: GateFinding) -> bool:
+        """Tell whether what looks better may be that other work was less."""
+        figure = finding.figure
+        return self.is_beside_others and figure.follows_hours and finding.high >= -figure.bound
 
     def _look_at(self, figure: GateFigure, cells: Sequence[GateCell], level: float) -> _FigureLook:
         if figure.name in self.refused:

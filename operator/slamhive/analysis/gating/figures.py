@@ -55,6 +55,11 @@ class GateFigure:
         return self.name.startswith((LOAD, "metrics."))
 
     @property
+    def follows_hours(self) -> bool:
+        """Tell whether it depends on what else a machine does at the time: all load but memory."""
+        return self.is_load and not self.name.startswith(f"{LOAD}memory.")
+
+    @property
     def title(self) -> str:
         """Name for people."""
         if self.name == FAILURES:

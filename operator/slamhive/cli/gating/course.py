@@ -21,6 +21,7 @@ from slamhive.analysis.gating.figures import (
 from slamhive.analysis.gating.ordering import next_runs
 from slamhive.analysis.measures import measure_of
 from slamhive.cli.gating.runs import (
+    BESIDE_OTHERS,
     GateRows,
     GateSweep,
     GateWish,
@@ -294,7 +295,13 @@ class _Course:
         if len(kinds - {None}) > 1:
             two = " and ".join(sorted(str(kind) for kind in kinds if kind))
             self._leave_out([one for one in self.gate.figures if one.name == MEMORY], f"measured as {two}")
+        self.gate.is_beside_others = self._may_be_beside_others()
         self.gate.look(self.cells, last=last)
+
+    def _may_be_beside_others(self) -> bool:
+        """Tell whether runs of either side had other work beside them; a baseline that is silent may have."""
+        recorded = [pair.before.values.get(BESIDE_OTHERS) for pair in self._pairs]
+        return any(of is None or any(of) for of in recorded) or any(one.disturbed for one in self._rows)
 
     def _unlike_machines(self) -> str | None:
         """Return the reason why loads can't be compared; None where nothing says so."""

@@ -48,6 +48,9 @@ if TYPE_CHECKING:
 USUAL_REPETITIONS = 10
 """Repetitions of a setting, recorded and at most tried, of a sweep that has none of its own."""
 
+BESIDE_OTHERS = "disturbed"
+"""Column that says which runs had other work beside them, kept of each run in a baseline."""
+
 TIER = "tier"
 """Label of sweeps by which ``--tier`` chooses."""
 
@@ -234,7 +237,7 @@ def collect(test: GateSweep, bench: Workbench, columns: Iterable[str]) -> GateRo
         *CONDITIONS,
         "provenance.reusedFrom",
         "usage.memory.kind",
-        "disturbed",
+        BESIDE_OTHERS,
     )
     about = {name: frame.column(name).tolist() for name in names}
     numbers = {name: frame.column(name).floats().tolist() for name in columns if name != FAILURES}
@@ -252,7 +255,7 @@ def collect(test: GateSweep, bench: Workbench, columns: Iterable[str]) -> GateRo
             faults.append(f"{test.words(row)}, repetition {repetition}: not measured: not counted")
             continue
         reused += about["provenance.reusedFrom"][line] is not None
-        disturbed += about["disturbed"][line] is True
+        disturbed += about[BESIDE_OTHERS][line] is True
         found[row].append((repetition, line))
     cells = {}
     for row, pairs in sorted(found.items()):
@@ -303,7 +306,7 @@ def number_or_none(value: float) -> float | None:
 
 def recorded_columns(wish: GateWish) -> list[str]:
     """Return the columns that are kept of runs."""
-    return list(dict.fromkeys([*MARGINS, *(one.name for one in wish.figures)]))
+    return list(dict.fromkeys([*MARGINS, *(one.name for one in wish.figures), BESIDE_OTHERS]))
 
 
 def few_repetitions(cells: Sequence[BaselineCell]) -> list[str]:
