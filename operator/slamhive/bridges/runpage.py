@@ -99,12 +99,10 @@ def run_page(
         for kind, names in chosen.items()
         if names
     ]
+    header = element(
+        "header", element("h1", clip(title or record.name, 300)), element("p", _subject(row), class_="quiet")
+    )
     parts: list[Markup | None] = [
-        element(
-            "header",
-            element("h1", clip(title or record.name, 300)),
-            element("p", _subject(row), class_="quiet"),
-        ),
         element("h2", "Settings"),
         _facts([*_told(row, [name for name in _WHAT if name in held]), *settings]),
         element("h2", "Results"),
@@ -116,14 +114,15 @@ def run_page(
         element(
             "details", element("summary", "Hashes, machine, all other figures"), _facts(_told(row, rest))
         ),
-        element("p", f"Made with slamhive {__version__}", class_="quiet"),
     ]
+    made = f"Made with slamhive {__version__}"
+    body = [header, element("main", *parts), element("footer", element("p", made, class_="quiet"))]
     script = ""
     if data:
-        parts.append(element("script", Markup(as_script_data(data)), type="application/json", id="data"))
+        body.append(element("script", Markup(as_script_data(data)), type="application/json", id="data"))
         assets = importlib.resources.files("slamhive_eval") / "assets"
         script = (assets / "report.js").read_text(encoding="utf-8")
-    return document(title or record.name, joined(parts), script)
+    return document(title or record.name, joined(body), script)
 
 
 def _subject(row: dict[str, Any]) -> str:

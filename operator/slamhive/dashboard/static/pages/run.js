@@ -290,7 +290,7 @@ function Facts({ title, value, keep = null, folded = false, labels = {}, of = ''
     `
     : html`
       <section class="card">
-        <h3>${title}</h3>
+        <h2>${title}</h2>
         ${list}
       </section>
     `;
