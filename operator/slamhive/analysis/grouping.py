@@ -18,7 +18,15 @@ import numpy as np
 
 from slamhive.analysis.cells import CellColumns, Cells, GroupFigures, Places, again
 from slamhive.analysis.columns import Column, renumbered
-from slamhive.analysis.measures import BESIDE, CONFIGURATION, Better, follows_trajectory, is_error, measure_of
+from slamhive.analysis.measures import (
+    BESIDE,
+    CONFIGURATION,
+    LATE_SECONDS,
+    Better,
+    follows_trajectory,
+    is_error,
+    measure_of,
+)
 from slamhive.model.algorithm import Pace
 from slamhive.model.base import Choice, plural
 from slamhive.model.results import Outcome, Reason
@@ -299,7 +307,7 @@ def late_notes(frame: Frame, metrics: Iterable[str]) -> list[str]:
     count = frame.count_runs(falls_behind(frame, metrics))
     if not count:
         return []
-    late = frame.column("lateSeconds").floats()
+    late = frame.column(LATE_SECONDS).floats()
     runs = "" if len(frame) == 1 else f" in {plural(count, 'run')}"
     return [late_words(float(np.nanmax(late)), runs)]
 
@@ -307,7 +315,7 @@ def late_notes(frame: Frame, metrics: Iterable[str]) -> list[str]:
 def falls_behind(frame: Frame, metrics: Iterable[str]) -> Mask:
     """Tell of which rows memory is shown that holds frames that waited, (n,)."""
     if any(name.startswith(MEMORY) for name in metrics):
-        return frame.column("lateSeconds").present
+        return frame.column(LATE_SECONDS).present
     return np.zeros(len(frame), dtype=bool)
 
 

@@ -15,10 +15,10 @@ import numpy as np
 import typer
 
 from slamhive.analysis.columns import ColumnKind
-from slamhive.analysis.derived import LATE_SECONDS, PACE
+from slamhive.analysis.derived import PACE
 from slamhive.analysis.frame import Frame
 from slamhive.analysis.grouping import SEARCHED, Outcomes, aggregate, late_notes, varies, varying
-from slamhive.analysis.measures import CAUSAL
+from slamhive.analysis.measures import CAUSAL, LATE_SECONDS
 from slamhive.analysis.metrics import Metric, declared_units
 from slamhive.analysis.selection import Chosen, Selection, choose, order_rows
 from slamhive.bridges.targets import BridgeTarget
