@@ -29,7 +29,7 @@ from slamhive.analysis.measures import (
 )
 from slamhive.model.algorithm import Pace
 from slamhive.model.base import Choice, plural
-from slamhive.model.results import Outcome, Reason
+from slamhive.model.results import Outcome, Phase, Reason
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -339,7 +339,8 @@ def copy_notes(copies: int, metrics: Iterable[str]) -> list[str]:
 def holds_reader(frame: Frame, metrics: Iterable[str]) -> Mask:
     """Tell of which rows CPU is shown that holds reading, or may, where that of others doesn't, (n,)."""
     told = frame.column("usage.includesReader").floats()
-    measured = frame.column("usage.cpu.seconds").present
+    # What an ended run says of itself, or no longer could, is of no figure that is shown.
+    measured = frame.column("usage.cpu.seconds").present & where_equal(frame, "phase", Phase.SUCCEEDED.value)
     if not any(name.startswith(CPU) for name in metrics) or not (told == 0).any():
         measured = np.zeros_like(measured)
     found: Mask = measured & (told != 0)
