@@ -177,7 +177,7 @@ def test_questions_lead_to_their_answer_or_say_what_they_need(browser: Any, site
     assert "x=sensors" in asked["Sensor mode against sensor mode"]
     browser.click(".questions a", "Features vs")
     browser.wait("document.querySelectorAll('.canvas[data-drawn=yes]').length === 6")
-    assert "peak memory [MiB] over parameters.nFeatures: yard" in browser.text()
+    assert "peak memory [MiB] over nFeatures: yard" in browser.text()
 
 
 @pytest.mark.parametrize(
