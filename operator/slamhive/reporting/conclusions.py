@@ -68,7 +68,7 @@ def conclusion(found: Aggregate, error: str, cost: str) -> list[str]:
         rivals.sort(key=lambda one: one.error)
         sentences += _ranked(dataset, rivals, Metric.parse(cost))
         if rivals and len(rivals) < len(cells):
-            sentences.append(_unranked([one for one in cells if not _has_error(one, error)], names))
+            sentences.append(_unranked([one for one in cells if _middle(one, error) is None], names))
     if len(datasets) > _MOST:
         sentences.append(f"The table has {plural(len(datasets) - _MOST, 'more dataset')}.")
     elif len(datasets) == 1 and rivals:
@@ -78,17 +78,17 @@ def conclusion(found: Aggregate, error: str, cost: str) -> list[str]:
 
 def _rival(cell: Cell, names: Sequence[str], error: Metric, cost: str) -> _Rival | None:
     figure, price = cell.figures[error.column], cell.figures[cost].summary
-    if not _has_error(cell, error.column):
+    if (middle := _middle(cell, error.column)) is None:
         return None
     name = _name(cell, names)
-    told = f"{error.title.partition(' [')[0]} {error.show(figure.middle)} {error.unit}"
-    return _Rival(name, figure.middle, figure.ends, told, price.mean if price else None)
+    told = f"{error.title.partition(' [')[0]} {error.show(middle)} {error.unit}"
+    return _Rival(name, middle, figure.ends, told, price.mean if price else None)
 
 
-def _has_error(cell: Cell, error: str) -> bool:
-    """Tell whether a group's median is a number: half of what counts failed where it is none."""
+def _middle(cell: Cell, error: str) -> float | None:
+    """Return a group's median, None where half of what counts failed."""
     middle = cell.figures[error].middle
-    return middle is not None and not math.isinf(middle)
+    return None if middle is None or math.isinf(middle) else middle
 
 
 def _name(cell: Cell, names: Sequence[str]) -> str:
