@@ -21,6 +21,7 @@ from slamhive.analysis.selection import Selection, choose, order_rows
 from slamhive.analysis.statistics import Numbers
 from slamhive.model.errors import InputError
 from slamhive.tables.text import table_columns
+from slamhive.tables.words import meanings
 
 
 def row(rmse: float | None = 1.0, outcome: str | None = "Tracked", **changes: Any) -> dict[str, Any]:
@@ -423,6 +424,11 @@ def test_cpu_of_an_adapter_that_reads_by_itself_and_tells_no_clock_is_marked_bes
     # Where no other's is without it there is nothing beside which it could be misread.
     assert not any("‡" in note for note in aggregate(frame_of(rows[1:]), ["usage.cpu.seconds"]).notes)
     assert not any("‡" in note for note in aggregate(frame, ["ate.rmse"]).notes)
+    # A run that was ended before it could say so has no figure that is shown.
+    ended = row(None, algorithm="kiss-icp", phase="Failed", **told | {"usage.includesReader": None})
+    frame = frame_of([rows[0], ended])
+    assert not any("‡" in note for note in aggregate(frame, ["usage.cpu.seconds"]).notes)
+    assert meanings(frame, ["usage.cpu.seconds"]) == ["CPU time: CPU seconds of a run, without the reader"]
 
 
 def test_a_rank_is_lost_by_the_algorithms_own_failures_alone() -> None:

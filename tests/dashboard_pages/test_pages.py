@@ -164,6 +164,19 @@ def test_too_many_for_common_support_are_narrowed_by_dataset(
     browser.complaints[:] = [one for one in browser.complaints if "status of 40" not in one]
 
 
+def test_errors_on_a_sweep_s_card_are_on_one_axis_whatever_failed(browser: Any, site: str) -> None:
+    browser.open(f"{site}/sweeps/study", width=390)
+    browser.wait("document.querySelectorAll('.spread li').length > 1")
+    rows = browser.run(
+        """[...document.querySelectorAll('.spread li')].map((one) => {
+            const {left, width} = one.querySelector('span[role]').getBoundingClientRect();
+            return [left, width, one.lastElementChild.innerText];
+        })"""
+    )
+    assert len({failed for *_, failed in rows}) > 1  # what failed takes room in some rows alone
+    assert len({(left, width) for left, width, _ in rows}) == 1
+
+
 def test_questions_lead_to_their_answer_or_say_what_they_need(browser: Any, site: str) -> None:
     browser.open(f"{site}/")
     asked = browser.run(
@@ -177,7 +190,7 @@ def test_questions_lead_to_their_answer_or_say_what_they_need(browser: Any, site
     assert "x=sensors" in asked["Sensor mode against sensor mode"]
     browser.click(".questions a", "Features vs")
     browser.wait("document.querySelectorAll('.canvas[data-drawn=yes]').length === 6")
-    assert "peak memory [MiB] over parameters.nFeatures: yard" in browser.text()
+    assert "peak memory [MiB] over nFeatures: yard" in browser.text()
 
 
 @pytest.mark.parametrize(

@@ -178,3 +178,11 @@ def test_examples_of_changes_can_be_made(document: Path) -> None:
                 after = [line[1:] for line in lines if line[0] in " +"]
                 assert (len(before), len(after)) == (int(old), int(new)), text
                 assert "\n".join(["", *before, ""]) in text_of(name), text
+
+
+def test_the_method_of_the_first_example_is_called_the_same_wherever_it_is_described() -> None:
+    folder = ROOT / "examples" / "algorithms" / "lidar-python"
+    documents = [folder / "algorithm.yaml", folder / "odometry.py", ROOT / "docs" / "algorithms.md"]
+    for document in documents:
+        said = set(re.findall(r"point-to-\w+(?= ICP)", document.read_text(encoding="utf-8")))
+        assert said == {"point-to-plane"}, document.name

@@ -611,6 +611,12 @@ test('dots of the leaderboard say of how many results they are, within the axis'
   assert.deepEqual(labels.at(-1), [`1×, n ${BOARD.entries[1].n}`, 'left']);
 });
 
+test('an interval that failures leave open has an arrow at the edge, and no other has one', () => {
+  const open = { ...ranked('open', 2, ['hall'], 2), ratioInterval: { low: 1.2, high: null } };
+  const { series, xAxis } = standings({ ...BOARD, entries: [BOARD.entries[1], open] }, ERROR).option(SIZE);
+  assert.deepEqual(series[2].data, [[(Array.isArray(xAxis) ? xAxis[0] : xAxis).max, 1]]);
+});
+
 test('the leaderboard is sorted by the ratio to the best, and one dataset leads nobody on three', () => {
   const { yAxis, series } = standings(BOARD, { ...ERROR, title: 'ATE' }).option(SIZE);
   assert.deepEqual(yAxis[0].data, [

@@ -235,6 +235,42 @@ def test_the_telling_line_is_no_report_where_there_is_another(log: str, line: st
     assert telling_line(log) == line
 
 
+CUT = """Traceback (most recent call last):
+  File "/a/adapter.py", line 41, in track
+    return self._slam.track_stereo(
+           ^^^^^^^^^^^^^^^^^^^^^^^^^
+"""
+CRASH = """Fatal Python error: Segmentation fault
+
+Current thread 0x00007f (most recent call first):
+  File "/a/adapter.py", line 41 in track
+
+Current thread's C stack trace (most recent call first):
+  Binary file "python", at _Py_DumpStack+0x2d [0x5]
+"""
+THROWN = "terminate called after throwing an instance of 'std::runtime_error'\n  what():  no vocabulary\n"
+
+
+@pytest.mark.parametrize(
+    ("log", "message"),
+    [
+        (CUT, "ended by signal 11 (SIGSEGV)"),
+        ("12 features\n" + CUT, "ended by signal 11 (SIGSEGV): 12 features"),
+        (
+            CUT
+            + "KeyError: 'a'\n\nDuring handling of the above exception, another exception occurred:\n\n"
+            + CUT,
+            "ended by signal 11 (SIGSEGV): KeyError: 'a'",
+        ),
+        (CRASH, "ended by signal 11 (SIGSEGV): Fatal Python error: Segmentation fault"),
+        (THROWN, "ended by signal 11 (SIGSEGV): what():  no vocabulary"),
+    ],
+    ids=["nothing else", "a word before", "two", "faulthandler", "C++"],
+)
+def test_no_line_of_source_or_of_a_stack_stands_behind_a_signal(log: str, message: str) -> None:
+    assert judge(ProgramEnding(status=11, last_line=telling_line(log))).message == message
+
+
 def test_who_was_played_to_the_end_may_abort_when_told_to_go() -> None:
     outcome = judge(ProgramEnding(status=6, last_line="Aborted", was_played=True))
     assert outcome == (None, 6, None, "")

@@ -33,6 +33,7 @@ def told(*runs: tuple[Any, ...]) -> str:
             "reason": "AlgorithmFailed" if run[1] is None else None,
             "outcome": None if run[1] is None else "Tracked",
             "ate.rmse": run[1],
+            "trajectory.sha256": run[1] and f"{run[0]} {run[1]} {number if run[0] != 'again' else ''}",
             CPU: run[2],
             "parameters.k": run[4] if len(run) > 4 else None,
         }
@@ -67,7 +68,15 @@ def told(*runs: tuple[Any, ...]) -> str:
             [("a", 0.02, None), ("b", 0.06, None), ("c", None, None)],
             [
                 "a has the smallest error: ATE 0.02 m.",
-                "1 of 3 settings did not track there in most of their runs.",
+                "Not ranked, for runs that did not track: c (AlgorithmFailed in its run).",
+            ],
+        ),
+        # Equal results count once: a failure beside them is half of what counts, but not most of the runs.
+        (
+            [("a", 0.02, 0.1), ("again", 0.06, 0.1), ("again", 0.06, 0.1), ("again", None, 0.1)],
+            [
+                "a alone tracked: ATE 0.02 m.",
+                "Not ranked, for runs that did not track: again (AlgorithmFailed in 1 of 3 runs).",
             ],
         ),
         ([("a", 0.02, 0.1)], ["a alone tracked: ATE 0.02 m."]),

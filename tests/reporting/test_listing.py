@@ -142,11 +142,31 @@ def test_settings_without_a_column_are_counted_and_a_wide_table_says_how_to_narr
     home = fill([records.run(number, parameters=dict.fromkeys(names, 0.5 + number)) for number in (0, 6)])
     assert "24 more settings varied: --columns shows them" in slamhive(home, "results", "list")[2]
     code, out, err = slamhive(home, "results", "table")
-    assert (code, "knob29" in out) == (0, True)
-    assert " columns: --rows NAME,… chooses among them" in err
+    # One tells the rows apart: six are shown, as in the list.
+    assert (code, [name for name in names if name in out]) == (0, names[:6])
+    assert "24 settings left out, as rows are told apart without: --rows NAME,… shows some" in err
+    assert "knob29" in slamhive(home, "results", "table", "--format", "csv")[1]
+    assert (
+        "columns: --rows NAME,… chooses" in slamhive(home, "results", "table", "--rows", ",".join(names))[2]
+    )
     narrow = slamhive(home, "results", "table", "--rows", "algorithm,knob00")
     assert "chooses among them" not in narrow[2]
     assert " 6.5 " in narrow[1]
+
+
+def test_settings_that_tell_rows_apart_all_have_a_column(
+    records: Any, fill: Fill, slamhive: Slamhive
+) -> None:
+    names = [f"knob{number:02}" for number in range(9)]
+    home = fill(
+        [
+            records.run(6 * place, parameters={name: int(name == one) for name in names})
+            for place, one in enumerate(names)
+        ]
+    )
+    _, out, err = slamhive(home, "results", "table")
+    assert [name for name in names if name in out] == names[:8]  # who has none of eight has the ninth
+    assert "1 setting left out, as rows are told apart without" in err
 
 
 def test_whole_values_of_a_setting_stand_without_a_point(

@@ -218,6 +218,25 @@ def test_csv_and_figure_hold_the_same_numbers(home: Path, slamhive: Slamhive, tm
     assert path.read_bytes() == again
 
 
+def test_names_of_systems_stand_whole_in_two_lines_and_apart_where_that_is_too_little() -> None:
+    pytest.importorskip("matplotlib")
+    from slamhive.figures.drawing import Drawing
+    from slamhive.figures.pictures import Panel, Picture, PictureAxis, Reach
+    from slamhive.figures.widths import WIDTHS
+
+    names = ["kiss-icp, lidar, evaluation final", "genz-icp", *(f"{'a' * 80}-{last}" for last in "xy")]
+    marks = tuple(Reach(row, 0.0, 1.0, text="never") for row in range(4))
+    x = PictureAxis("drop", robust=False, ends=(0.0, 1.0))
+    picture = Picture(
+        x, PictureAxis("", categories=tuple(names)), (Panel("", marks, x),), (), (), columns={}, runs=4
+    )
+    axes = Drawing(picture, WIDTHS["ieee-column"]).draw().axes[0]
+    shown = [text.get_text() for text in axes.get_yticklabels()]
+    assert [text.replace("\n", " ") for text in shown[:2]] == names[:2]
+    assert all(text.count("\n") <= 1 for text in shown)
+    assert len(set(shown)) == 4
+
+
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [

@@ -26,7 +26,7 @@ import numpy as np
 from slamhive.analysis.columns import Column, ColumnKind, renumbered
 from slamhive.analysis.frame import DERIVED, Frame
 from slamhive.analysis.grouping import ORIGIN, where_equal
-from slamhive.analysis.measures import CAUSAL, KEPT_BESIDE
+from slamhive.analysis.measures import CAUSAL, KEPT_BESIDE, LATE_SECONDS, UNDISTURBED
 from slamhive.model.algorithm import Pace
 from slamhive.model.results import OriginKind, Phase
 
@@ -50,10 +50,6 @@ LATENCY = "metrics.latencySeconds."
 """Beginning of the columns of the time from a frame to the first pose for it."""
 PUBLISHED = "metrics.posesPublished"
 """Column of how many stamps a player heard a pose for."""
-LATE_SECONDS = "lateSeconds"
-"""Column of how late poses came in real time, where that is more than a few frames."""
-UNDISTURBED = "usage.undisturbedSeconds"
-"""Column of the wall time without the wait for processors that others used."""
 
 FEW_FRAMES = 5
 """Frames up to which nothing is said of a node that is so many behind: some hold back as many by design."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from slamhive.analysis.columns import Column, count_distinct
 from slamhive.analysis.flattening import CORE_COLUMNS
-from slamhive.analysis.measures import columns_ending_in, measure_of
+from slamhive.analysis.measures import LATE_SECONDS, UNDISTURBED, columns_ending_in, measure_of
 from slamhive.model.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 DERIVED = frozenset(
     {
         *("status", "disturbed", "superseded", "algorithm.version", "dataset.version", "ate.extended"),
-        "lateSeconds",
-        "usage.undisturbedSeconds",
+        LATE_SECONDS,
+        UNDISTURBED,
         "search",
         "origin",
     }

@@ -18,10 +18,18 @@ import numpy as np
 
 from slamhive.analysis.cells import CellColumns, Cells, GroupFigures, Places, again
 from slamhive.analysis.columns import Column, renumbered
-from slamhive.analysis.measures import BESIDE, CONFIGURATION, Better, follows_trajectory, is_error, measure_of
+from slamhive.analysis.measures import (
+    BESIDE,
+    CONFIGURATION,
+    LATE_SECONDS,
+    Better,
+    follows_trajectory,
+    is_error,
+    measure_of,
+)
 from slamhive.model.algorithm import Pace
 from slamhive.model.base import Choice, plural
-from slamhive.model.results import Outcome, Reason
+from slamhive.model.results import Outcome, Phase, Reason
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -299,7 +307,7 @@ def late_notes(frame: Frame, metrics: Iterable[str]) -> list[str]:
     count = frame.count_runs(falls_behind(frame, metrics))
     if not count:
         return []
-    late = frame.column("lateSeconds").floats()
+    late = frame.column(LATE_SECONDS).floats()
     runs = "" if len(frame) == 1 else f" in {plural(count, 'run')}"
     return [late_words(float(np.nanmax(late)), runs)]
 
@@ -307,7 +315,7 @@ def late_notes(frame: Frame, metrics: Iterable[str]) -> list[str]:
 def falls_behind(frame: Frame, metrics: Iterable[str]) -> Mask:
     """Tell of which rows memory is shown that holds frames that waited, (n,)."""
     if any(name.startswith(MEMORY) for name in metrics):
-        return frame.column("lateSeconds").present
+        return frame.column(LATE_SECONDS).present
     return np.zeros(len(frame), dtype=bool)
 
 
@@ -331,7 +339,8 @@ def copy_notes(copies: int, metrics: Iterable[str]) -> list[str]:
 def holds_reader(frame: Frame, metrics: Iterable[str]) -> Mask:
     """Tell of which rows CPU is shown that holds reading, or may, where that of others doesn't, (n,)."""
     told = frame.column("usage.includesReader").floats()
-    measured = frame.column("usage.cpu.seconds").present
+    # What an ended run says of itself, or no longer could, is of no figure that is shown.
+    measured = frame.column("usage.cpu.seconds").present & where_equal(frame, "phase", Phase.SUCCEEDED.value)
     if not any(name.startswith(CPU) for name in metrics) or not (told == 0).any():
         measured = np.zeros_like(measured)
     found: Mask = measured & (told != 0)

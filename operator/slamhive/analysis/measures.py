@@ -24,6 +24,11 @@ if TYPE_CHECKING:
 CAUSAL = "beside.online."
 """Beginning of the names of figures of the poses as they were first published."""
 
+LATE_SECONDS = "lateSeconds"
+"""Column of how late poses came in real time, where that is more than a few frames."""
+UNDISTURBED = "usage.undisturbedSeconds"
+"""Column of the wall time without the wait for processors that others used."""
+
 CONFIGURATION = ("parameters.", "input.", "dataset.attributes.", "resources.")
 """Beginnings of the names of settings."""
 
@@ -261,7 +266,7 @@ _TABLE = (
     Measure("usage.readerCpuSeconds", "CPU time of the reader", "s", _LOWER, short="reader"),
     Measure("usage.readerShare", "share of the reader", "", _LOWER),
     Measure("usage.wallSeconds", "wall time", "s", _LOWER),
-    Measure("usage.undisturbedSeconds", "undisturbed wall time", "s", _LOWER),
+    Measure(UNDISTURBED, "undisturbed wall time", "s", _LOWER),
     Measure("usage.throttledSeconds", "", "s", _LOWER),
     Measure("usage.contendedSeconds", "", "s", _LOWER),
     Measure("usage.includesReader", "reader included"),
@@ -298,7 +303,7 @@ _TABLE = (
     ),
     Measure("metrics.playSeconds", "time of playing", "s"),
     Measure("metrics.posesPublished", "poses published"),
-    Measure("lateSeconds", "poses late by up to", "s", _LOWER),
+    Measure(LATE_SECONDS, "poses late by up to", "s", _LOWER),
     Measure("trajectory.poses", "poses"),
     Measure("trajectory.durationSeconds", "duration of the trajectory", "s"),
     Measure("provenance.node", "node"),

@@ -15,10 +15,10 @@ import numpy as np
 import typer
 
 from slamhive.analysis.columns import ColumnKind
-from slamhive.analysis.derived import LATE_SECONDS, PACE
+from slamhive.analysis.derived import PACE
 from slamhive.analysis.frame import Frame
 from slamhive.analysis.grouping import SEARCHED, Outcomes, aggregate, late_notes, varies, varying
-from slamhive.analysis.measures import CAUSAL
+from slamhive.analysis.measures import CAUSAL, LATE_SECONDS
 from slamhive.analysis.metrics import Metric, declared_units
 from slamhive.analysis.selection import Chosen, Selection, choose, order_rows
 from slamhive.bridges.targets import BridgeTarget
@@ -46,6 +46,7 @@ from slamhive.tables.text import (
     implied,
     key_text,
     key_title,
+    spare_settings,
     table_columns,
     time_text,
     value_text,
@@ -229,8 +230,13 @@ def show_table(
             if shared:
                 _print_shared(shared)
             with declared_units(frame.units), uncollected():
-                written = table_columns(found, across, metrics, {*shared, *implied(found, by or ())})
+                left_out = {*shared, *implied(found, by or ())}
+                spare = () if by else spare_settings(found, _MOST_SETTINGS, left_out)
+                written = table_columns(found, across, metrics, {*left_out, *spare})
                 _print_columns(form, *written)
+            if spare:
+                what = f"{plural(len(spare), 'setting')} left out, as rows are told apart without"
+                remark(f"{what}: --rows NAME,… shows some; --format csv has all")
             if len(written[0]) > _MOST_READ:
                 remark(f"{len(written[0])} columns: --rows NAME,… chooses among them; --format csv has all")
             shown = [*(one.column for one in metrics), "coverage"]

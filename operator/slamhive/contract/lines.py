@@ -22,8 +22,12 @@ _SHOWN_CHARACTERS = 30
 _LOOKED_AT, _NAMED = 1000, 3
 """Files of an output folder that are looked at for one that is missing, and that are named."""
 _TRACEBACK = re.compile(
-    r"(Traceback|Current thread|Thread) .*\(most recent call (last|first)\)|Extension modules: "
+    r"(Traceback|Current thread|Thread)\b.*\(most recent call (last|first)\)|Extension modules: |"
+    r"During handling of the above exception, another|The above exception was the direct cause"
 )
+# What a C++ program ends with: "terminate called after throwing an instance of 'E'", and beneath it
+# "  what():  …", which is the reason.
+_WHAT = re.compile(r"\s+what\(\): ")
 # "[ WARN] [1600000000.5]: …" of roscpp, "[WARN] [1600000000.500000]: …" of rospy, and ROS 2's
 # "[WARN] [1600000000.500000000] [node]: …".
 _REPORT = re.compile(r"\[ *(DEBUG|INFO|WARN|WARNING)\] ?\[[^\]]*\]")
@@ -87,13 +91,19 @@ def _files(folder: str) -> list[str]:
 def telling_line(text: str) -> str:
     """Return the last line of a log that says something, empty if none does.
 
-    Lines of source that a traceback ends with where its program was killed say nothing by themselves, and a
-    ROS node's reports tell of what it met before: they count where there is nothing else.
+    Lines of source that a traceback ends with where its program was killed say nothing by themselves, even
+    where there is nothing else. Other lines that are set in, and a ROS node's reports, which tell of what it
+    met before, count where there is nothing else.
     """
     lines = [line.rstrip() for line in text.splitlines() if line.strip()]
-    telling = [line for line in lines if not (line[0].isspace() or _TRACEBACK.match(line))]
+    telling = [line for line in lines if _tells(line)]
     words = [line for line in telling if not is_report(line)]
-    return (words or telling or lines or [""])[-1].strip()
+    rest = [] if any(map(_TRACEBACK.match, lines)) else lines
+    return (words or telling or rest or [""])[-1].strip()
+
+
+def _tells(line: str) -> bool:
+    return not (line[0].isspace() or _TRACEBACK.match(line)) or _WHAT.match(line) is not None
 
 
 def is_report(line: str) -> bool:

@@ -184,7 +184,10 @@ class Drawing:
         """Return texts along an axis, as long as there is room for."""
         letter = self._points * 0.8125 * _LETTER / 72
         most = _LONGEST if side == "x" else max(8, int(0.42 * self._inches / self._across / letter))
-        return [shortened(text, most) for text in axis.categories]
+        if side == "x" or not self._picture.has_own_axes:
+            return [shortened(text, most) for text in axis.categories]
+        # Rows of a card are as high as two lines.
+        return [_in_lines(text, most) for text in told_apart(axis.categories, 2 * most)]
 
     def _room(self) -> float:
         """Return the width of a panel without the numbers beside it, in inches."""
@@ -773,6 +776,16 @@ def told_apart(texts: Sequence[str], most: int) -> list[str]:
     same = sum(1 for _ in takewhile(lambda letters: len(set(letters)) == 1, zip(*long, strict=False)))
     cut = [f"…{text[same:]}" if text in long else text for text in texts]
     return [shortened(text, most) for text in cut]
+
+
+def _in_lines(text: str, most: int) -> str:
+    """Return a text in two lines of at most some length, cut where that is too little."""
+    if len(text) <= most:
+        return text
+    found = textwrap.wrap(text, most)
+    return "\n".join(
+        found if len(found) <= 2 else (text[:most].rstrip(), shortened(text[most:].lstrip(), most))
+    )
 
 
 def _wrapped(text: str, inches: float, points: float) -> str:

@@ -62,14 +62,13 @@ def conclusion(found: Aggregate, error: str, cost: str) -> list[str]:
     datasets: dict[str, list[Cell]] = {}
     for cell in found.cells:
         datasets.setdefault(str(cell.keys["dataset"]), []).append(cell)
-    sentences = []
+    sentences: list[str] = []
     for dataset, cells in list(datasets.items())[:_MOST]:
         rivals = [one for cell in cells if (one := _rival(cell, names, Metric.parse(error), cost))]
         rivals.sort(key=lambda one: one.error)
         sentences += _ranked(dataset, rivals, Metric.parse(cost))
         if rivals and len(rivals) < len(cells):
-            lost = len(cells) - len(rivals)
-            sentences.append(f"{lost} of {len(cells)} settings did not track there in most of their runs.")
+            sentences.append(_unranked([one for one in cells if _middle(one, error) is None], names))
     if len(datasets) > _MOST:
         sentences.append(f"The table has {plural(len(datasets) - _MOST, 'more dataset')}.")
     elif len(datasets) == 1 and rivals:
@@ -79,12 +78,38 @@ def conclusion(found: Aggregate, error: str, cost: str) -> list[str]:
 
 def _rival(cell: Cell, names: Sequence[str], error: Metric, cost: str) -> _Rival | None:
     figure, price = cell.figures[error.column], cell.figures[cost].summary
-    if figure.middle is None or math.isinf(figure.middle):
+    if (middle := _middle(cell, error.column)) is None:
         return None
+    name = _name(cell, names)
+    told = f"{error.title.partition(' [')[0]} {error.show(middle)} {error.unit}"
+    return _Rival(name, middle, figure.ends, told, price.mean if price else None)
+
+
+def _middle(cell: Cell, error: str) -> float | None:
+    """Return a group's median, None where half of what counts failed."""
+    middle = cell.figures[error].middle
+    return None if middle is None or math.isinf(middle) else middle
+
+
+def _name(cell: Cell, names: Sequence[str]) -> str:
     settings = keys_text({name: cell.keys[name] for name in names if cell.keys[name] is not None})
-    name = f"{cell.keys['algorithm']} with {settings}" if settings else str(cell.keys["algorithm"])
-    told = f"{error.title.partition(' [')[0]} {error.show(figure.middle)} {error.unit}"
-    return _Rival(name, figure.middle, figure.ends, told, price.mean if price else None)
+    return f"{cell.keys['algorithm']} with {settings}" if settings else str(cell.keys["algorithm"])
+
+
+def _unranked(cells: Sequence[Cell], names: Sequence[str]) -> str:
+    """Return the sentence on groups that are not ranked: who, and what became of how many of their runs."""
+    told = [f"{_name(cell, names)} ({_became(cell)})" for cell in cells[:_MOST]]
+    more = f" and {len(cells) - _MOST} more" if len(cells) > _MOST else ""
+    return f"Not ranked, for runs that did not track: {', '.join(told)}{more}."
+
+
+def _became(cell: Cell) -> str:
+    found = {**cell.failures, **cell.untracked}
+    if not found:
+        return "without an error"
+    if len(found) == 1 and sum(found.values()) == cell.runs:
+        return f"{next(iter(found))} in {'its run' if cell.runs == 1 else f'all {cell.runs} runs'}"
+    return f"{', '.join(f'{word} in {count}' for word, count in found.items())} of {plural(cell.runs, 'run')}"
 
 
 def _ranked(dataset: str, rivals: Sequence[_Rival], cost: Metric) -> list[str]:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.derived import LATE_SECONDS, PACE
+from slamhive.analysis.derived import PACE
 from slamhive.analysis.grouping import Groups, late_notes, varies, varying
-from slamhive.analysis.measures import CAUSAL
+from slamhive.analysis.measures import CAUSAL, LATE_SECONDS
 from slamhive.analysis.repeating import suspects
 from slamhive.model.base import plural
 from slamhive.model.results import Outcome

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.grouping import CHOSEN, CPU, LATE, MARK, MEMORY, READER, Groups, follows, varies
+from slamhive.analysis.measures import CONFIGURATION
 from slamhive.analysis.metrics import Metric, name_of, with_unit
 
 if TYPE_CHECKING:
@@ -296,6 +297,33 @@ def implied(found: Aggregate, asked: Sequence[str]) -> set[str]:
     if "algorithm" not in found.keys or "sensors" not in found.keys or "sensors" in asked:
         return set()
     return {"sensors"} if follows(found.cells.keys, "sensors", "algorithm") else set()
+
+
+def spare_settings(found: Aggregate, most: int, left_out: Iterable[str]) -> list[str]:
+    """Return settings that tell no more rows apart than those before them do, where there are more than some.
+
+    Args:
+        found: the groups.
+        most: settings that are shown however little they tell.
+        left_out: keys that are not shown anyway.
+    """
+    keys, told = found.cells.keys, [name for name in found.keys if name not in set(left_out)]
+    settings = [name for name in told if name.startswith(CONFIGURATION)]
+    if len(settings) <= most:
+        return []
+    shown = [name for name in told if name not in settings]
+    count = Groups(keys, shown).count if shown else 1
+    spare = []
+    for name in settings:
+        more = Groups(keys, [*shown, name]).count
+        if more > count:
+            shown.append(name)
+            count = more
+        else:
+            spare.append(name)
+    # Where few tell all apart there is room for the first of the others.
+    room = max(0, most - (len(settings) - len(spare)))
+    return spare[room:]
 
 
 def short_name(name: str, names: Sequence[str]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from slamhive.analysis.grouping import where_equal
 from slamhive.analysis.measures import CAUSAL, measure_of
 from slamhive.analysis.metrics import named_final
-from slamhive.model.results import Outcome
+from slamhive.model.results import Outcome, Phase
 from slamhive_eval.evaluation import MAX_ATE_SHARE, MAX_LOCAL_SHARE
 
 if TYPE_CHECKING:
@@ -70,7 +70,8 @@ class _MeaningParts(dict[str, str]):
                 return " without alignment"
             return f" after {' or '.join(kinds)}" if kinds else ""
         if part == "reader":
-            found = self._frame.column("usage.includesReader").factorized()[1]  # None: it isn't known
+            shown = self._frame.select(where_equal(self._frame, "phase", Phase.SUCCEEDED.value))
+            found = shown.column("usage.includesReader").factorized()[1]  # None: it isn't known
             return _READER.get(found[0], "") if len(found) == 1 else ""
         stem = match[0] if (match := _RPE.match(self._column)) else ""
         over = [self._values(f"{stem}.{name}") for name in ("delta", "unit", "pairs")]

@@ -57,6 +57,22 @@ async def test_points_hold_every_run_failed_or_not(api: Any) -> None:
 
 
 @pytest.mark.parametrize(
+    ("readers", "axis", "told"),
+    [
+        ([False, True, None], "usage.cpu.seconds", ["usage.includesReader"]),
+        ([False, True, None], "ate.rmse", []),
+        ([False, False, None], "usage.cpu.seconds", []),  # the last one was ended before it could say so
+    ],
+)
+def test_readers_are_told_of_where_cpu_is_drawn_of_runs_that_have_one(
+    readers: list[bool | None], axis: str, told: list[str]
+) -> None:
+    columns: dict[str, Any] = {"usage.includesReader": readers, "phase": ["Succeeded", "Succeeded", "Failed"]}
+    frame = Frame({name: Column.of(values) for name, values in columns.items()}, 3)
+    assert [item["column"] for item in mixtures(frame, ["seed", axis])] == told
+
+
+@pytest.mark.parametrize(
     ("kinds", "axis", "told"),
     [
         (["Resident", "Resident", None], "usage.memory.peakBytes", []),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from slamhive.analysis.grouping import LOAD
-from slamhive.analysis.measures import Better, figures, measure_of
+from slamhive.analysis.measures import UNDISTURBED, Better, figures, measure_of
 from slamhive.model.errors import InputError
 from slamhive_eval.errors import did_you_mean
 
@@ -17,7 +17,7 @@ FAILURES = "failures"
 
 COVERAGE = "coverage"
 LATENCY = "metrics.latencySeconds.median"
-TIME = "usage.undisturbedSeconds"
+TIME = UNDISTURBED
 MEMORY = "usage.memory.peakBytes"
 
 

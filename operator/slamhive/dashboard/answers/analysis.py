@@ -10,6 +10,7 @@ import numpy as np
 
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.grouping import (
+    CPU,
     FACETS,
     LOAD_FACETS,
     MEMORY_FACETS,
@@ -20,12 +21,14 @@ from slamhive.analysis.grouping import (
     follows,
     varies,
     varying,
+    where_equal,
 )
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.measures import CAUSAL
 from slamhive.dashboard.answering.encoding import Body, plain
 from slamhive.dashboard.answers.columns import coded, figure_json, heading, interval_json, summary_json
 from slamhive.dashboard.problems import TooLarge
+from slamhive.model.results import Phase
 from slamhive.tables.queries import column, columns, number_column, outcomes, select
 from slamhive.tables.text import as_columns, flat_cells, flat_summary, key_text
 from slamhive.tables.timeliness import FACTOR, LATENCIES, WORDS, timeliness
@@ -45,6 +48,7 @@ _NO_FACETS = {*SUBJECT, "settings", "evaluationVersion"}
 KEPT_APART = tuple(name for name in (*FACETS, *LOAD_FACETS) if name not in _NO_FACETS)
 """Columns whose mixture a chart must not pass over in silence; of versions of the evaluation a note tells."""
 
+_READER = "usage.includesReader"
 _MEMORY, (_KIND,) = ("usage.memory.peakBytes", "usage.memory.meanBytes"), MEMORY_FACETS
 
 EXACT = 5000
@@ -107,7 +111,9 @@ def mixtures(frame: Frame, told: list[str]) -> list[dict[str, Any]]:
         told: columns that a chart tells apart itself.
     """
     mixed = []
-    candidates = [(name, frame) for name in KEPT_APART]
+    candidates = [(name, frame) for name in KEPT_APART if name != _READER]
+    if any(name.startswith(CPU) for name in told):  # of a run that was ended no CPU is drawn
+        candidates.append((_READER, frame.select(where_equal(frame, "phase", Phase.SUCCEEDED.value))))
     if not set(_MEMORY).isdisjoint(told):
         candidates.append((_KIND, frame.select(frame.column(_MEMORY[0]).present)))
     for name, rows in candidates:

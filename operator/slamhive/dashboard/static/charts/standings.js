@@ -139,6 +139,17 @@ export function standings(board, metric) {
                 },
               })),
             },
+            {
+              type: 'scatter',
+              symbol: 'triangle',
+              symbolRotate: -90,
+              symbolSize: 9,
+              color: COLOURS[5],
+              silent: true,
+              data: known
+                .filter(({ entry }) => entry.ratioInterval?.high === null)
+                .map(({ at }) => [end, at]),
+            },
           ],
         },
         'beside',

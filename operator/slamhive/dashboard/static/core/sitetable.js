@@ -45,6 +45,7 @@ const UNIQUE = 'id';
 /** Points up to which a chart gets the UIDs of the runs, as from the API. */
 const EXACT = 5000;
 const MOST_TOLD = 6;
+const READER = 'usage.includesReader';
 const OPERATOR = /^(.+?)(<=|>=|!=|<|>)(.*)$/s;
 /** @type {Record<string, Api.Value>} */
 const WORDS = { true: true, false: false, null: null };
@@ -332,6 +333,7 @@ async function mixed(table, rows, told, files) {
   const found = [];
   for (const { column: name, owner } of table.mixed) {
     if (told.includes(name) || (owner && told.includes(owner))) continue;
+    if (name === READER && !told.some((one) => one.startsWith('usage.cpu.'))) continue;
     const { at } = await column(table, name, name, files);
     const values = [...new Set(rows.map(at))];
     if (values.length < 2) continue;

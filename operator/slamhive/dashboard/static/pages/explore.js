@@ -8,7 +8,7 @@ import { address, go, Query, useAddress } from '../core/address.js';
 import { csvOf, fetchJson, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { columnOptions, Filters, isNumeric, shownByFilters, useColumns } from '../core/filters.js';
-import { clip, cpuColumn, headingOf, namedValue } from '../core/format.js';
+import { axisName, clip, cpuColumn, headingOf, namedValue } from '../core/format.js';
 import { mostVaried } from '../core/questions.js';
 import { Choice, Fault, Link, Notes, NothingFits, Outcomes, Tick, useTitle, Waiting } from '../core/parts.js';
 import { html, useMemo, useState } from '../core/ui.js';
@@ -238,7 +238,7 @@ function Explored({ known }) {
 const titleOf = (columns, names) =>
   names
     .split(',')
-    .map((name) => columns.find((one) => one.name === name)?.title ?? name)
+    .map((name) => axisName(headingOf(columns, name)))
     .join(', ');
 
 /**
@@ -526,7 +526,7 @@ function lineParts(data, set) {
   const wide = values.filter((value) =>
     lines(data, set.x, data.metrics[0].name, set.facet, value).some((one) => one.points.length > 1),
   );
-  const over = clip(headingOf(data.keys, set.x).title, 60);
+  const over = clip(axisName(headingOf(data.keys, set.x)), 60);
   const shown = wide.length ? wide : values;
   return shown.flatMap((value) =>
     data.metrics.map((metric) => ({
