@@ -100,7 +100,8 @@ def judge_depth(examined: Examined) -> Iterator[Finding]:
     ratios = [ratio for way in ways for ratio in (_ratio(color, depth, way),) if ratio is not None]
     low, ratio, high = np.percentile(ratios, (25, 50, 75)) if ratios else (0.0, 0.0, 0.0)
     if len(ratios) < _FEWEST_PAIRS or high > _STEADY * low:
-        if np.ptp(color.seconds) >= _SHORT_SECONDS:
+        # That depth can't be read at all is told elsewhere.
+        if np.ptp(color.seconds) >= _SHORT_SECONDS and np.isfinite(_typical(examined)):
             yield Finding(
                 "depth.unit",
                 Severity.NOTE,
