@@ -221,3 +221,13 @@ def test_nothing_is_told_by_what_is_noise_alone_or_not_of_one_body() -> None:
     assert match(*swaying(40.0, noise=0.02), np.eye(3)) is None
     (reference, _), (_, turns) = swaying(40.0), swaying(60.0, axes=(-1, 1, 1))
     assert match(reference, Turns(turns.begin + 20.0, turns.end + 20.0, turns.rates[::-1]), np.eye(3)) is None
+
+
+@pytest.mark.parametrize(("apart", "told"), [(0.016, True), (0.1, False)])
+def test_halves_that_are_a_little_apart_tell_as_well_as_they_agree(apart: float, told: bool) -> None:
+    reference, own = swaying(20.0)
+    moved = np.where(own.middle < 10.0, apart, 0.0)
+    found = match(reference, Turns(own.begin - moved, own.end - moved, own.rates), np.eye(3))
+    assert (found is not None) is told
+    if found is not None:
+        assert found.error >= 0.9 * apart > found.offset > 0.0

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from slamhive.data.doctor import clocks
 from slamhive.data.doctor.bodies import judge_bodies
 from slamhive.data.doctor.cameras import judge_cameras
+from slamhive.data.doctor.depths import judge_depth
 from slamhive.data.doctor.examined import Examined
 from slamhive.data.doctor.files import judge_files, judge_static_transforms
 from slamhive.data.doctor.fixes import Fixes
@@ -56,6 +57,7 @@ BETWEEN: tuple[Callable[[Examined], Iterable[Finding]], ...] = (
     judge_imus,
     judge_bodies,
     judge_truth_rows,
+    judge_depth,
     judge_turning,
 )
 """Judgements between sensors, between them and the truth, and of the recording's files."""

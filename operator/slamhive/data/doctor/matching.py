@@ -65,6 +65,8 @@ _LEAST_GROWTH = 0.01
 """Seconds by which an offset must grow over the recording for a drift to be one."""
 _SAME_SECONDS = 0.01
 """Seconds that two halves may differ by whatever their errors say, which come from few seconds of turning."""
+_NEAR_SECONDS = 0.03
+"""Seconds that they may differ by where the whole fits well; as much is its error then."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,10 +142,14 @@ def match(reference: Turning, turns: Turns, expected: Array) -> Match | None:
     if len(found) < 2 or None in found:
         return None
     first, second = (half for half in found if half is not None)
-    if abs(first.offset - second.offset) > max(first.error + second.error, _SAME_SECONDS):
-        return None
     # Where one half turns little, what they differ by is more honest than what is left within them.
-    error = max(whole.error, abs(first.offset - second.offset) / 2.0)
+    apart = abs(first.offset - second.offset)
+    error = max(whole.error, apart / 2.0)
+    if apart > max(first.error + second.error, _SAME_SECONDS):
+        # One that turns once, from rest, is off by more than is left in it, although the whole fits well.
+        if apart > _NEAR_SECONDS or whole.correlation < _SURE_CORRELATION:
+            return None
+        error = max(error, apart)
     return replace(whole, error=error, halves=(first.offset, second.offset))
 
 

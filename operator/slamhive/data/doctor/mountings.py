@@ -56,6 +56,16 @@ class _Turn(NamedTuple):
         return float(np.linalg.norm(self.vector)), float(np.max(self.errors * self.told))
 
 
+def pose_in_body(spec: DatasetSpec, name: str) -> Array:
+    """Return the stated pose in the body, shape (4, 4), of a sensor, or of the frame of ``groundTruth``."""
+    truth, stated = spec.ground_truth, None
+    if name == TRUTH and truth is not None:
+        stated, name = truth.T_body_frame, truth.frame
+    if stated is None and name in spec.sensors:
+        stated = spec.sensors[name].T_body_sensor
+    return np.eye(4) if stated is None else np.array(stated, dtype=np.float64)
+
+
 def judge_mountings(streams: Sequence[TurningSensor], spec: DatasetSpec) -> Iterator[Finding]:
     """Yield the streams whose frame is turned against what the manifest states, by how most turned.
 
@@ -162,13 +172,7 @@ def _finding(stream: TurningSensor, sure: TurningSensor, turn: _Turn, spec: Data
 
 def _repair(stream: TurningSensor, field: str, vector: Array, spec: DatasetSpec) -> dict[str, Any]:
     """Return the corrected pose of a frame in the body, for the manifest."""
-    truth, pose = spec.ground_truth, np.eye(4)
-    if stream.kind != TRUTH:
-        pose = np.array(spec.sensors[stream.name].T_body_sensor)
-    elif truth is not None and truth.T_body_frame is not None:
-        pose = np.array(truth.T_body_frame)
-    elif truth is not None and truth.frame != "body":
-        pose = np.array(spec.sensors[truth.frame].T_body_sensor)
+    pose = pose_in_body(spec, TRUTH if stream.kind == TRUTH else stream.name)
     pose[:3, :3] = exp_of(vector) @ pose[:3, :3]
     stated = {field: [[round(float(number), 9) for number in row] for row in pose]}
     return {TRUTH: stated} if stream.kind == TRUTH else {"sensors": {stream.name: stated}}

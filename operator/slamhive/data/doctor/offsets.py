@@ -16,7 +16,7 @@ from slamhive.data.doctor.clocks import KNOWN, cause_of
 from slamhive.data.doctor.findings import Finding, Severity, sensor_repair
 from slamhive.data.doctor.imus import Samples
 from slamhive.data.doctor.matching import SEARCH, match
-from slamhive.data.doctor.mountings import judge_mountings
+from slamhive.data.doctor.mountings import judge_mountings, pose_in_body
 from slamhive.data.doctor.sighting import turns_of
 from slamhive.data.doctor.turning import Turns, gyro_turning, turning_of
 from slamhive.data.doctor.voting import SEEING, TurningSensor, most
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from slamhive.data.doctor.examined import Examined
     from slamhive.data.doctor.matching import Match
-    from slamhive.data.doctor.turning import Array, Turning
+    from slamhive.data.doctor.turning import Turning
     from slamhive.model.dataset import DatasetSpec
 
 LEAST_SECONDS = 0.01
@@ -106,32 +106,21 @@ def _streams(examined: Examined) -> tuple[list[TurningSensor], dict[str, Turning
     }
     truth = turning_of(examined.truth)
     for name, (turning, watcher) in gyros.items():
-        turnings[name], body = turning, _mounting(spec, name)
+        turnings[name], body = turning, pose_in_body(spec, name)[:3, :3]
         force = body @ watcher.sound()[2].sum(axis=0, dtype=np.float64)
         up = bool(force[2] > _UPRIGHT * np.linalg.norm(force))
         first = float(turning.stamps[0])
         streams.append(TurningSensor(name, SensorType.IMU, first, body, is_upright=up))
     if truth is not None:
         turnings[TRUTH] = truth
-        streams.append(TurningSensor(TRUTH, TRUTH, float(truth.stamps[0]), _mounting(spec, TRUTH)))
+        streams.append(TurningSensor(TRUTH, TRUTH, float(truth.stamps[0]), pose_in_body(spec, TRUTH)[:3, :3]))
     for name in examined.watched.watchers:
         sensor = spec.sensors[name]
         scan = examined.watched.scans.get(sensor.topic)
         if sensor.type in SEEING and scan is not None and len(scan.stamps):
             first = float(scan.stamps[0]) / 1e9 + sensor.time_offset
-            streams.append(TurningSensor(name, sensor.type, first, _mounting(spec, name)))
+            streams.append(TurningSensor(name, sensor.type, first, pose_in_body(spec, name)[:3, :3]))
     return streams, turnings
-
-
-def _mounting(spec: DatasetSpec, name: str) -> Array:
-    """Return the rotation of a frame in the body as stated, shape (3, 3)."""
-    truth, stated = spec.ground_truth, None
-    if name == TRUTH and truth is not None:
-        stated = truth.T_body_frame
-        name = truth.frame
-    if stated is None and name != "body":
-        stated = spec.sensors[name].T_body_sensor
-    return np.eye(3) if stated is None else np.array(stated, dtype=np.float64)[:3, :3]
 
 
 def _fit(

@@ -37,15 +37,21 @@ _STEP = 24
 """Bytes after which each layout of pixels, of 1 to 4 channels and 1 or 2 bytes, comes to the same channel."""
 _FEW_BITS = 14
 """Bits of 16 below which the upper 8 hold so few that what is seen is dark."""
-_DEPTHS = (0.1, 60.0)
+DEPTHS = (0.1, 60.0)
 """Typical depths in m of a camera: none sees nearer, 16 bits of mm end at 65.5 m, and of what is farther away
 a robot's stereo pair knows nothing."""
 _LIKELY = (0.4, 10.0)
-_SCALES = {"f": (1.0, 1000.0), "u": (1.0, 1000.0, 5000.0, 10_000.0)}
+SCALES = {"f": (1.0, 1000.0), "u": (1.0, 1000.0, 5000.0, 10_000.0)}
+"""Usual units a metre, of floats and of whole numbers."""
 
 
 class Pictures(MessageWatcher):
-    """Watcher of the images of a camera or depth camera."""
+    """Watcher of the images of a camera or depth camera.
+
+    Attributes:
+        is_depth: Whether it is one of depth.
+        depths: Typical depths of the images that were looked at, in units of theirs.
+    """
 
     def __init__(self, of: WatchedSensor) -> None:
         super().__init__(of)
@@ -63,7 +69,7 @@ class Pictures(MessageWatcher):
         self._kinds: dict[str, int] = {}
         self._described = ""
         self._letter = "u"
-        self._depths: list[float] = []
+        self.depths: list[float] = []
         self._full: list[float] = []
 
     def take(self, message: PassingMessage) -> None:
@@ -80,6 +86,11 @@ class Pictures(MessageWatcher):
             self._is_flat = (sampled or likely) and self._look(message, sampled=sampled)
         if self._is_flat:
             self._flat.append((message.index, message.stamp))
+
+    @property
+    def has_odd_unit(self) -> bool:
+        """Tell whether depth by itself is in another unit than stated, or in none that is stated."""
+        return self.is_depth and any(True for _ in self._unit())
 
     def findings(self) -> Iterator[Finding]:
         """Yield the findings of the images."""
@@ -135,7 +146,7 @@ class Pictures(MessageWatcher):
     def _look_at_depth(self, pixels: npt.NDArray[Any]) -> bool:
         known = pixels[np.isfinite(pixels) & (pixels > 0)]
         if known.size:
-            self._depths.append(float(np.median(known)))
+            self.depths.append(float(np.median(known)))
             self._full.append(
                 float((known == np.iinfo(np.uint16).max).mean()) if self._letter == "u" else 0.0
             )
@@ -226,12 +237,12 @@ class Pictures(MessageWatcher):
             )  # fmt: skip
 
     def _unit(self) -> Iterator[Finding]:
-        if not self._depths:
+        if not self.depths:
             return
         camera = self.of.sensor.camera
         scale = camera.depth_scale if camera else None
-        found, full = float(np.median(self._depths)), float(np.median(self._full))
-        fitting = [one for one in _SCALES[self._letter] if _LIKELY[0] < found / one < _LIKELY[1]]
+        found, full = float(np.median(self.depths)), float(np.median(self._full))
+        fitting = [one for one in SCALES[self._letter] if _LIKELY[0] < found / one < _LIKELY[1]]
         # Depths in 65535ths of a metre are at the end of 16 bits from 1 m on.
         better = 65_535.0 if full > 0.5 else next((one for one in (1000.0, 1.0) if one in fitting), None)
         better = better or (fitting[0] if fitting else None)
@@ -245,7 +256,7 @@ class Pictures(MessageWatcher):
                 "camera.depthScale: not given; 1000 (millimetres) is common, TUM RGB-D has 5000" + helps,
                 [], **more,
             )  # fmt: skip
-        elif full > 0.5 or not _DEPTHS[0] < found / scale < _DEPTHS[1]:
+        elif full > 0.5 or not DEPTHS[0] < found / scale < DEPTHS[1]:
             end = f", and {full:.0%} of it is at the end of 16 bits" if full > 0.01 else ""
             yield self.found(
                 "depth.unit", Severity.ERROR if not better else Severity.WARNING,

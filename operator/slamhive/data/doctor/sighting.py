@@ -36,11 +36,11 @@ _LONGEST = 1.0
 """Seconds between frames above which they show too little of the same."""
 _WIDTH = 480
 """Pixels of an image's width at which corners are followed."""
-_CORNERS, _FEWEST_CORNERS = 100, 20
+FEWEST_CORNERS, _CORNERS = 20, 100
 _TRIES, _MISSES = 100, 20
 """Samples of corners that are tried, as most that are followed are right, and pairs of images in a row that
 tell nothing, after which a stretch is given up."""
-_SEEN = 1.0
+SEEN = 1.0
 """Pixels that a corner may be off where it must go."""
 _POINTS, _MOST_POINTS = 1200, 6000
 _SCANS = 6
@@ -161,7 +161,7 @@ def _seen(frames: Iterator[tuple[float, Any]], sensor: Sensor) -> Iterator[tuple
     before: tuple[float, Array] | None = None
     missed, scale = 0, 1.0
     for time, message in frames:
-        image, scale = _grey(message, sensor, camera)
+        image, scale = grey_of(message, sensor, camera)
         if before is not None and 0 < time - before[0] < _LONGEST:
             view = _view_between(before[1], image, camera, scale)
             missed = missed + 1 if view is None else 0
@@ -171,12 +171,12 @@ def _seen(frames: Iterator[tuple[float, Any]], sensor: Sensor) -> Iterator[tuple
             if missed == _MISSES:
                 break
         before = time, image
-    limit = _SEEN * scale / camera.fx
+    limit = SEEN * scale / camera.fx
     for (begin, end), matrix in zip(spans, _refined(views, limit) if views else (), strict=True):
         yield begin, end, -log_of(matrix) / (end - begin)
 
 
-def _grey(message: Any, sensor: Sensor, camera: Camera) -> tuple[Any, float]:
+def grey_of(message: Any, sensor: Sensor, camera: Camera) -> tuple[Any, float]:
     """Return an image in grey, 8 bits, no wider than corners are followed in, and pixels in one of it."""
     read = image_pixels if hasattr(message, "encoding") else compressed_pixels
     pixels = read(message, sensor.topic)
@@ -204,25 +204,18 @@ class _ImagePair(NamedTuple):
 
 def _view_between(one: Any, other: Any, camera: Camera, scale: float) -> _ImagePair | None:
     """Return the corners of two images of a camera, `scale` of whose pixels are in one of theirs."""
-    if one.shape != other.shape:
+    followed = followed_corners(one, other)
+    if followed is None:
         return None
-    follow: Any = cv2.calcOpticalFlowPyrLK
-    corners = cv2.goodFeaturesToTrack(one, _CORNERS, 0.01, max(6.0, one.shape[1] / 40.0))
-    if corners is None or len(corners) < _FEWEST_CORNERS:
-        return None
-    found, status, _ = follow(one, other, corners, None, winSize=(17, 17), maxLevel=3)
-    kept = status.ravel() == 1
-    if np.count_nonzero(kept) < _FEWEST_CORNERS:
-        return None
-    first, second = (_undistorted(points[kept].reshape(-1, 2), camera, scale) for points in (corners, found))
-    limit = _SEEN * scale / camera.fx
+    first, second = (undistorted(points, camera, scale) for points in followed)
+    limit = SEEN * scale / camera.fx
     essential, inliers = cv2.findEssentialMat(
         first, second, np.eye(3), cv2.RANSAC, 0.999, limit, maxIters=_TRIES
     )
     if essential is None or essential.shape != (3, 3):
         return None
     fit = inliers.ravel() == 1
-    if np.count_nonzero(fit) < _FEWEST_CORNERS:
+    if np.count_nonzero(fit) < FEWEST_CORNERS:
         return None
     decompose: Any = cv2.decomposeEssentialMat
     a, b, shift = decompose(essential)
@@ -231,7 +224,22 @@ def _view_between(one: Any, other: Any, camera: Camera, scale: float) -> _ImageP
     return _ImagePair(first[fit], second[fit], turn, shift.ravel())
 
 
-def _undistorted(points: Any, camera: Camera, scale: float) -> Array:
+def followed_corners(one: Any, other: Any) -> tuple[Array, Array] | None:
+    """Return corners of a grey image, and where they are in another, pixels, (n, 2); None of too few."""
+    if one.shape != other.shape:
+        return None
+    follow: Any = cv2.calcOpticalFlowPyrLK
+    corners = cv2.goodFeaturesToTrack(one, _CORNERS, 0.01, max(6.0, one.shape[1] / 40.0))
+    if corners is None or len(corners) < FEWEST_CORNERS:
+        return None
+    found, status, _ = follow(one, other, corners, None, winSize=(17, 17), maxLevel=3)
+    kept = status.ravel() == 1
+    if np.count_nonzero(kept) < FEWEST_CORNERS:
+        return None
+    return corners[kept].reshape(-1, 2), found[kept].reshape(-1, 2)
+
+
+def undistorted(points: Any, camera: Camera, scale: float) -> Array:
     """Return corners of a scaled image as directions (x, y, 1), shape (n, 2)."""
     full = ((points.astype(np.float64) + 0.5) * scale - 0.5).reshape(-1, 1, 2)
     matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
