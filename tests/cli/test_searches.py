@@ -158,3 +158,9 @@ def test_a_search_is_run_and_said_in_words(write: Callable[..., Path], run_comma
     assert "2 runs to be done" in plain(out)
     code, out, _ = run_command("run", file, "--rerun-where", "metrics.score > 0")
     assert (code, "5 settings tried" in plain(out)) == (0, True)
+    # Fewer than were tried: nothing is done, and it is said why.
+    file = write({"trials": 4})
+    told = "5 settings are tried already, trials: 4 asks for fewer: none is added"
+    for command in ("plan", "run"):
+        code, out, err = run_command(command, file)
+        assert (code, told in plain(out + err)) == (0, True), out + err

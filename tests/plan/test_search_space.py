@@ -141,6 +141,15 @@ def test_more_trials_than_settings_are_all_settings_and_said_so() -> None:
     assert planned(LOOPS, RADIUS, trials=10).remarks() == []
 
 
+def test_fewer_trials_than_were_tried_are_those_and_said_so() -> None:
+    plan = planned(LOOPS, RANGE, trials=1)
+    plan.draw(Trial(values=plan.space.probes()[0].values))
+    assert (plan.most_trials, plan.surplus) == (1, None)
+    plan.draw(Trial(values=plan.space.probes()[1].values))
+    assert plan.most_trials == 2
+    assert plan.surplus == "2 settings are tried already, trials: 1 asks for fewer: none is added"
+
+
 @pytest.mark.parametrize(
     ("parameters", "sentence"),
     [

@@ -725,3 +725,18 @@ def test_one_path_has_its_name_and_matplotlib_says_nothing(caplog: pytest.LogCap
     assert [text.get_text() for text in legend.get_texts()] == ["ground truth", "estimate", "start", "end"]
     assert rendered(found, Paper(WIDTHS["ieee-column"]), "pdf", {}).startswith(b"%PDF")
     assert not caplog.records
+
+
+def test_systems_that_differ_in_the_middle_of_their_names_are_told_apart() -> None:
+    from slamhive.figures.drawing import told_apart
+
+    texts = [
+        "icp, rgbd, evaluation se3",
+        *(f"orb-slam3-smallvoc, {one}, evaluation se3" for one in ("rgbd", "stereo")),
+    ]
+    assert told_apart(texts, 24) == [
+        "icp, rgbd, e…luation se3",
+        "orb-slam3-smallvoc…rgbd…",
+        "orb-slam3-smallv…stereo…",
+    ]
+    assert told_apart(texts, 60) == texts

@@ -150,7 +150,9 @@ def test_the_yaml_of_the_best_is_the_run_that_was_made(
         name: point.spec[name] for name in ("parameters", "seed", "repetition")
     }
     code, out, _ = run(capsys, home, monkeypatch, "search", "best", "tune", "--sweep")
-    again = Plan(Sweep.model_validate(yaml.safe_load(out)), FixedCatalog(), strict=False)
+    repeated = Sweep.model_validate(yaml.safe_load(out))
+    assert repeated.name == "tune-best-sweep"  # of the run's name, each would supersede the other
+    again = Plan(repeated, FixedCatalog(), strict=False)
     first = story.best[0] * story.block
     assert {one.spec_hash for one in again} == {plan.point(first + at).spec_hash for at in range(story.block)}
 
@@ -169,6 +171,25 @@ def test_the_yaml_of_the_best_brings_a_generated_dataset_that_came_with_the_swee
     assert (code, hall["metadata"]["name"], hall["spec"]) == (0, "hall", made)
     assert again["kind"] == "Sweep"
     assert "dataset yard: it lies beside its manifest" in err
+
+
+@pytest.mark.parametrize(
+    ("own", "options", "is_said"),
+    [({"alignment": "None"}, (), True), ({"alignment": "None"}, ("--sweep",), False), ({}, (), False)],
+)
+def test_a_run_that_is_measured_otherwise_than_the_search_was_says_so(
+    *, home: Path, monkeypatch: Any, capsys: Any, tmp_path: Path, own: Any, options: Any, is_said: bool
+) -> None:
+    copied = tmp_path / "home"
+    shutil.copytree(home, copied)
+    record = _record(copied, "tune")
+    with Archive.open(f"sqlite:///{copied / 'archive.sqlite'}") as archive:
+        archive.put_sweep(record.replace(spec={**record.spec, "evaluation": own}))
+    code, _, err = run(capsys, copied, monkeypatch, "search", "best", "tune", *options)
+    assert (code, "a MappingRun is measured by the default evaluation" in " ".join(err.split())) == (
+        0,
+        is_said,
+    )
 
 
 def _record(home: Path, name: str) -> Any:

@@ -73,6 +73,7 @@ def best(
 
     Example: slamhive search best tune > best.yaml && slamhive run best.yaml
     """
+    from slamhive.model.evaluation import EvaluationSettings
     from slamhive.tables.manifests import manifest, run_manifest, spec_again
     from slamhive.tables.searches import uid_of_run
 
@@ -86,7 +87,8 @@ def best(
             raise InputError(
                 f"sweep {record.name}: the first run of setting {trial.number} is not in the archive"
             )
-        title = f"{record.name}-best" if number is None else f"{record.name}-{number}"
+        # Of one name, the run would stand as a version of the sweep that supersedes the one before.
+        title = f"{record.name}-{'best' if number is None else number}{'-sweep' if sweep else ''}"
         names = (
             {str(one) for one in frame.column("dataset").tolist()}
             if sweep
@@ -109,6 +111,11 @@ def best(
                 body["evaluation"] = record.spec["evaluation"]
             sys.stdout.write(manifest("Sweep", title, {}, body))
     remark(_words(story, trial))
+    usual = EvaluationSettings().as_json()
+    if not sweep and usual | (record.spec.get("evaluation") or {}) != usual:
+        remark(
+            "a MappingRun is measured by the default evaluation, the search was by its own: --sweep has it"
+        )
 
 
 def _datasets(archive: Archive, names: Collection[str]) -> Iterator[str]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections import Counter
-from itertools import chain, takewhile
+from itertools import chain, compress, takewhile
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
@@ -185,7 +185,7 @@ class Drawing:
         letter = self._points * 0.8125 * _LETTER / 72
         most = _LONGEST if side == "x" else max(8, int(0.42 * self._inches / self._across / letter))
         if side == "x" or not self._picture.has_own_axes:
-            return [shortened(text, most) for text in axis.categories]
+            return told_apart(axis.categories, most)
         # Rows of a card are as high as two lines.
         return [_in_lines(text, most) for text in told_apart(axis.categories, 2 * most)]
 
@@ -768,14 +768,44 @@ def _peaks(mark: Line) -> list[tuple[float, float]]:
 
 
 def told_apart(texts: Sequence[str], most: int) -> list[str]:
-    """Return texts of at most some length, long ones without the beginning that all of them share."""
+    """Return texts of at most some length, long ones without the beginning that all of them share.
+
+    Those that would be alike all the same have their beginning and the words in which they differ.
+    """
     found = [shortened(text, most) for text in texts]
-    if len(set(found)) == len(set(texts)):
+    if _differ(texts, found):
         return found
     long = [text for text, short in zip(texts, found, strict=True) if text != short]
-    same = sum(1 for _ in takewhile(lambda letters: len(set(letters)) == 1, zip(*long, strict=False)))
-    cut = [f"…{text[same:]}" if text in long else text for text in texts]
-    return [shortened(text, most) for text in cut]
+    same = _shared(long)
+    cut = [shortened(f"…{text[same:]}" if text in long else text, most) for text in texts]
+    if _differ(texts, cut):
+        return cut
+    alike = {short: list(dict.fromkeys(compress(texts, map(short.__eq__, found)))) for short in found}
+    return [
+        short if len(alike[short]) == 1 else _by_difference(text, alike[short], most)
+        for text, short in zip(texts, found, strict=True)
+    ]
+
+
+def _differ(texts: Sequence[str], short: Sequence[str]) -> bool:
+    """Tell whether texts that differ do so when they are short."""
+    return len(set(short)) == len(set(texts))
+
+
+def _shared(texts: Sequence[str]) -> int:
+    """Return the number of letters that texts begin with alike."""
+    return sum(1 for _ in takewhile(lambda letters: len(set(letters)) == 1, zip(*texts, strict=False)))
+
+
+def _by_difference(text: str, alike: Sequence[str], most: int) -> str:
+    """Return the beginning of a text, and the whole words in which it differs from others."""
+    front = text.rfind(" ", 0, _shared(alike)) + 1
+    end = len(text) - _shared([one[front:][::-1] for one in alike])
+    while end < len(text) and text[end] not in " ,":
+        end += 1
+    middle = shortened(text[front:end], most - 2)
+    begin = text[: min(front, most - 2 - len(middle))].rstrip()
+    return f"{begin}…{middle}{'…' if end < len(text) else ''}"
 
 
 def _in_lines(text: str, most: int) -> str:

@@ -489,13 +489,22 @@ class SearchPlan(Plan):
 
     @property
     def most_trials(self) -> int:
-        """Return the number of trials at most: as many as asked for, or as there are settings."""
+        """Return the number of trials at most: as many as asked for or tried, or as there are settings."""
         if self.is_exhausted:
             return len(self.trials)
         if self.space.is_threshold:
             return len(self.space.series) * self.space.values_at_most
         asked = self.sweep.spec.search.trials or min(MAX_TRIALS, MAX_POINTS // self.space.block)
-        return min(asked, self.space.size or asked)
+        # What was tried stays, with its runs, also where fewer are asked for now.
+        return max(len(self.trials), min(asked, self.space.size or asked))
+
+    @property
+    def surplus(self) -> str | None:
+        """Return a sentence where more settings were tried before than are asked for now."""
+        asked, tried = self.sweep.spec.search.trials, len(self.trials)
+        if asked is None or tried <= asked:
+            return None
+        return f"{tried:,} settings are tried already, trials: {asked} asks for fewer: none is added"
 
     @property
     def twins(self) -> dict[int, int]:

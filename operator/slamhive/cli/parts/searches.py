@@ -75,7 +75,8 @@ def extent_text(plan: Plan) -> str:
         values = f"up to {plan.space.values_at_most} values of {search.axis} each"
         return f"search {search.method}, {plural(len(plan.space.series), 'threshold')}, {values}, {runs}"
     size = "any number of settings" if space.size is None else plural(space.size, "setting")
-    return f"search {search.method}, tries {plan.most_trials:,} of {size}, {runs}"
+    told = f"search {search.method}, tries {plan.most_trials:,} of {size}, {runs}"
+    return told if plan.surplus is None else f"{told}; {plan.surplus}"
 
 
 def objective_faults(sweep: Sweep) -> list[str]:
