@@ -241,6 +241,28 @@ def test_what_is_no_backup_is_refused(filled: str, tmp_path: Path, content: byte
     assert check(filled).counts["runs"] == 5
 
 
+@pytest.fixture
+def foreign(tmp_path: Path) -> Path:
+    """A database of another program."""
+    with closing(sqlite3.connect(tmp_path / "foreign.sqlite")) as connection:
+        connection.execute("CREATE TABLE customers (name TEXT)")
+        connection.commit()
+    return tmp_path / "foreign.sqlite"
+
+
+def test_a_database_of_another_program_is_named_by_what_it_holds(
+    filled: str, foreign: Path, tmp_path: Path
+) -> None:
+    known = foreign.read_bytes()
+    with pytest.raises(InputError, match=r"holds no archive, but tables of another program: 'customers'$"):
+        Archive.open(f"sqlite:///{foreign}", read_only=True)
+    with pytest.raises(InputError, match=r"is no backup: it holds no archive, but tables .* 'customers'$"):
+        restore(filled, foreign, force=True)
+    with pytest.raises(InputError, match="a folder; name the backup in it"):
+        restore(filled, tmp_path, force=True)
+    assert (foreign.read_bytes(), check(filled).counts["runs"]) == (known, 5)
+
+
 def file_of(url: str) -> Path:
     return Path(url.removeprefix("sqlite:///"))
 

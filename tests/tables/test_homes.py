@@ -113,6 +113,10 @@ def test_what_is_no_home_is_refused(keep: Callable[[str], Any], tmp_path: Path) 
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match=r"^also: .*empty: is no home: it holds no archive\.sqlite"):
         homes_beside(mine, [str(tmp_path / "empty")])
+    for name in ("d", "b", "c", "a"):
+        (tmp_path / "empty" / name).mkdir()
+    with pytest.raises(InputError, match=r"holds no archive\.sqlite, but a, b, c, …$"):
+        homes_beside(mine, [str(tmp_path / "empty")])
     with pytest.raises(InputError, match=r"^also: /nowhere: no such folder or file"):
         homes_beside(mine, ["/nowhere"])
 

@@ -328,6 +328,8 @@ def test_a_newer_archive_and_this_home_itself_are_refused(
     engine.dispose()
     code, _, err = run_command("archive", "merge", anna.path)
     assert (code, "written by a newer slamhive" in " ".join(err.split())) == (2, True)
+    code, _, err = run_command("archive", "merge", "/nowhere")
+    assert (code, err.strip()) == (2, "error: /nowhere: no such folder or file")
     code, _, err = run_command("archive", "merge", mine.path)
     assert (code, "is this home itself" in " ".join(err.split())) == (2, True)
 

@@ -77,6 +77,8 @@ _ADVICE: dict[str | int, str] = {
 _OF_FULL_DISKS = (sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN)
 """Further errors of SQLite where a disk is full: it can't make the files beside its own."""
 
+_NO_ARCHIVE = "holds no archive yet; the first command that writes to it makes the tables"
+_SHOWN_TABLES = 3
 _LEAST_BYTES = 1 << 16
 """Room that SQLite needs to open an archive at all: its index of the log has 32 KiB."""
 _DAMAGED = ("malformed", "Could not decode to UTF-8", "no such table", "no such column")
@@ -270,9 +272,7 @@ def wrong_version(url: URL, found: int | None) -> InputError:
     """Return the error that says what to do about tables of another version."""
     name = shown(url)
     if found is None:
-        return InputError(
-            f"archive {name}: holds no archive yet; the first command that writes to it makes the tables"
-        )
+        return InputError(f"archive {name}: {_NO_ARCHIVE}")
     if found > schema.VERSION:
         return InputError(
             f"archive {name}: written by a newer slamhive (schema {found}; this one knows up to "
@@ -283,6 +283,15 @@ def wrong_version(url: URL, found: int | None) -> InputError:
         "`slamhive archive upgrade` brings it up to date"
         + (", as the operator of a newer chart does" if url.get_backend_name() == "postgresql" else "")
     )
+
+
+def nothing_of_ours(connection: Connection) -> str:
+    """Return the end of a sentence on a database without an archive: the tables that it holds."""
+    tables = sorted(inspect(connection).get_table_names())
+    if not tables:
+        return _NO_ARCHIVE
+    named = ", ".join(map(repr, tables[:_SHOWN_TABLES])) + (", …" if len(tables) > _SHOWN_TABLES else "")
+    return f"holds no archive, but tables of another program: {named}"
 
 
 def alone_with_tables(connection: Connection) -> None:
@@ -436,7 +445,9 @@ def _prepare(engine: Engine, *, read_only: bool) -> None:
     """Make the tables, once among all processes that open the archive, or check their version."""
     with engine.connect() as connection:
         found = version_of(connection)
-    if found is None and not read_only:
+        if found is None and read_only:
+            raise InputError(f"archive {shown(engine.url)}: {nothing_of_ours(connection)}")
+    if found is None:
         with exclusively(engine) as connection:
             alone_with_tables(connection)
             found = version_of(connection)

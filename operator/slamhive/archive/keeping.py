@@ -26,11 +26,13 @@ from slamhive.archive.connection import (
     connect,
     exclusively,
     file_of,
+    nothing_of_ours,
     open_engine,
     parse,
     reading,
     require_content,
     shown,
+    version_of,
     writing,
 )
 from slamhive.archive.records import CatalogEntry, SweepRecord, run_row, to_record, to_result
@@ -213,13 +215,16 @@ def _is_sound(url: str) -> bool:
 def _as_archive(source: Path) -> Iterator[str]:
     """Yield the URL of a copy of a backup that is of this version and may be written to."""
     if not source.is_file():
-        raise InputError(f"{source}: no such file")
+        problem = "a folder; name the backup in it" if source.is_dir() else "no such file"
+        raise InputError(f"{source}: {problem}")
     if "?" in str(source):  # what follows it in a database URL would be taken for options
         raise InputError(f"{source}: a path with a question mark is not allowed")
     require_content(source)
     url = f"sqlite:///{source}"
     with reading(open_engine(parse(url), read_only=True)) as connection:
-        current = connection.exec_driver_sql("SELECT max(version) FROM slamhive_schema").scalar()
+        current = version_of(connection)
+        if current is None:
+            raise InputError(f"{source}: is no backup: it {nothing_of_ours(connection)}")
     if current == schema.VERSION:
         yield url
         return

@@ -121,7 +121,7 @@ def merge(
     from slamhive.tables.homes import homes_beside
 
     home = Home.from_environment()
-    found = homes_beside(home, [other])
+    found = homes_beside(home, [other], "")
     if not found:
         raise InputError(f"{other}: is this home itself")
     (beside,) = found

@@ -39,6 +39,7 @@ COLUMN = "home"
 VARIABLE = "SLAMHIVE_ALSO"
 _LABEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
 _NAMED = (("algorithm", "algorithm.version"), ("dataset", "dataset.version"), ("sweep", "sweep.uid"))
+_SHOWN = 3
 _SAME = ("uid", "provenance.contentHash", "evaluation")
 
 
@@ -205,7 +206,7 @@ def _beside(text: str, prefix: str, argument: str) -> Beside:
     if path is not None and path.is_file():
         path = path.parent
     elif path is not None and not (path / "archive.sqlite").exists():
-        raise InputError(f"{prefix}{place}: is no home: it holds no archive.sqlite", argument)
+        raise InputError(f"{prefix}{place}: is no home: it holds {_instead(path)}", argument)
     label = label or re.sub(r"[^A-Za-z0-9._-]+", "-", path.name if path else _database(url)).strip("-.")
     if not _LABEL.fullmatch(label):
         from slamhive.archive.connection import shown  # noqa: PLC0415 - as below
@@ -215,6 +216,16 @@ def _beside(text: str, prefix: str, argument: str) -> Beside:
             f"{prefix}{what}: call it by LABEL=PATH; a label has letters, digits, - . and _", argument
         )
     return Beside(label, url, path)
+
+
+def _instead(folder: Path) -> str:
+    """Return the end of a sentence on a folder that is no home: a few names of its files."""
+    try:
+        names = sorted(path.name for path in folder.iterdir())
+    except OSError:
+        names = []
+    more = ", …" if len(names) > _SHOWN else ""
+    return "no archive.sqlite" + (f", but {', '.join(names[:_SHOWN])}{more}" if names else "")
 
 
 def _database(url: str) -> str:

@@ -37,6 +37,7 @@ class Site:
         folder: Files by their paths.
         url: Its address.
         by_ranges: Whether parts are sent.
+        beside: Bytes by which parts begin beside where they should.
         known_by: Marks of a file: ``tag``, ``weak`` tag, ``folded`` tag of two lines, ``time`` of its last
             change, or ``nothing``.
         heeds: Whether If-Range is looked at.
@@ -54,6 +55,7 @@ class Site:
     folder: Path
     url: str = ""
     by_ranges: bool = True
+    beside: int = 0
     known_by: str = "tag"
     heeds: bool = True
     measured: bool = True
@@ -133,7 +135,7 @@ class Handler(http.server.BaseHTTPRequestHandler):
         if known is not None:
             headers["Last-Modified" if site.known_by == "time" else "ETag"] = known
         if match:
-            headers["Content-Range"] = f"bytes {start}-{end - 1}/{size}"
+            headers["Content-Range"] = f"bytes {start + site.beside}-{end - 1}/{size}"
         self._head(206 if "Content-Range" in headers else 200, headers)
         drop = site.drops.pop(0) if site.drops else None
         with path.open("rb") as file, contextlib.suppress(OSError):

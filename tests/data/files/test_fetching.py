@@ -232,6 +232,21 @@ def test_a_server_without_parts_or_with_another_file_begins_afresh(
     assert "comes from its start again" in said[0]
 
 
+def test_where_parts_never_come_right_all_of_it_is_asked_for(
+    large: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fetching, "PAUSES", (0.0, 0.0))
+    large.drops, large.beside = [1 << 20], 7
+    said: list[str] = []
+    fetching.fetch_file(wanted(large), tmp_path / "large.bag", fetching.FetchProgress(notify=said.append))
+    assert (tmp_path / "large.bag").read_bytes() == LARGE
+    assert [asked for _, asked in large.asked] == [None, *["bytes=1048576-"] * 2, None]
+    assert "was asked for the bytes from 1,048,576 on, and sent others (bytes 1048583-" in said[0]
+    large.drops = [1 << 20] * 9
+    with pytest.raises(SystemFault, match="and sent others"):  # and it ends where it ends early each time
+        fetching.fetch_file(wanted(large), tmp_path / "again.bag")
+
+
 class Replacing(list[Any]):
     """Drops of a server, with whose first one a file is replaced by another."""
 
@@ -361,7 +376,12 @@ def test_of_a_file_that_became_empty_nothing_is_kept(large: Any, tmp_path: Path)
         (204, {}, "HTTP status 204, no file: No Content"),
         (200, {"Content-Length": "9" * 5000}, "more than 256 GiB"),
         (206, {"Content-Range": f"bytes 0-8/{'9' * 5000}"}, "more than 256 GiB"),
-        (206, {"Content-Range": f"bytes {'9' * 5000}-1/2"}, "sent another range than bytes 0-: bytes 9"),
+        (
+            206,
+            {"Content-Range": f"bytes {'9' * 5000}-1/2"},
+            r"the bytes from 0 on, and sent others \(bytes 9",
+        ),
+        (206, {}, "the server was asked for the bytes from 0 on, and sent some without saying which"),
     ],
 )
 def test_an_answer_that_makes_no_sense_is_named(
@@ -497,8 +517,17 @@ def test_a_page_that_wants_a_login_is_told(large: Any, tmp_path: Path) -> None:
     with pytest.raises(DataError, match="leads to a page, 'Sign in', not to a file: it may want a login"):
         fetching.fetch_file(wanted(large), tmp_path / "large.bag")
     large.pages["/large.bag"] = '<form id="download-form" action="https://["></form><![x['
-    with pytest.raises(DataError, match="leads to a page, '', not to a file"):
+    with pytest.raises(DataError, match="leads to a page, not to a file"):
         fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+
+
+@pytest.mark.parametrize("sha256", [None, "0" * 64])
+def test_a_page_under_the_type_of_a_file_is_told_too(large: Any, tmp_path: Path, sha256: str | None) -> None:
+    page = "\ufeff\n<!DOCTYPE html><html><head><title>Sign in</title></head><body>Please</body></html>"
+    (large.folder / "large.bag").write_text(page)
+    with pytest.raises(DataError, match="leads to a page, 'Sign in', not to a file: it may want a login"):
+        fetching.fetch_file(wanted(large, sha256=sha256), tmp_path / "large.bag")
+    assert (len(large.asked), [path.suffix for path in tmp_path.glob(".fetching-*")]) == (1, [".lock"])
 
 
 CHILD = """

@@ -20,12 +20,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
 from slamhive.data.files.https import (
+    PAGE_BYTES,
     STALL_BYTES,
     STALL_SECONDS,
     HttpsResponse,
     Interrupted,
     OfflineError,
+    WrongPartError,
     open_url,
+    require_no_page,
 )
 from slamhive.data.files.partial import DiskFault, Partial, disk_words
 from slamhive.model.canonical import digest
@@ -179,6 +182,9 @@ def _whole(wanted: WantedFile, partial: Partial, progress: FetchProgress) -> str
     for last in (False, True):
         running = _Running(partial)
         fetch_span(wanted, urls, partial, (0, None), progress, running)
+        if partial.path.exists():
+            with partial.path.open("rb") as file:
+                require_no_page(partial.url or urls[0], file.read(PAGE_BYTES))
         found = running.digest()
         wrong = _wrong_pieces(wanted, partial)
         if wanted.sha256 in {None, found} and not wrong:
@@ -238,6 +244,7 @@ def fetch_span(  # noqa: PLR0917 - what, from where, to where, which part
     problems: list[str] = []
     began, most = time.monotonic(), partial.held
     began_with, offline = most, 0
+    anew: set[str] = set()
     for url in urls:
         tries = list(PAUSES)
         while True:
@@ -249,6 +256,13 @@ def fetch_span(  # noqa: PLR0917 - what, from where, to where, which part
                 # Bytes are progress, answers are none: a file that changes each time never comes to its end.
                 if partial.held >= most + STALL_BYTES:
                     tries, most = list(PAUSES), partial.held
+                if isinstance(error, WrongPartError) and span[1] is None and url not in anew and not tries:
+                    # Parts may never come right from there; the file from its start does, as to anybody.
+                    progress.notify(f"{wanted.what}: {url}: {error}: comes from its start again")
+                    partial.forget()
+                    anew.add(url)
+                    tries, most = list(PAUSES), 0
+                    continue
                 if span[1] is None and not partial.spans:
                     partial.forget()  # a size that was told is of a file of which nothing came
                 # Without a network at the begin none comes; one that goes meanwhile may come back.
@@ -257,18 +271,20 @@ def fetch_span(  # noqa: PLR0917 - what, from where, to where, which part
                     problems.append(f"{url}: {error}")
                     offline += isinstance(error, OfflineError)
                     break
-                # A minute for each MiB, and ten more, are enough for any line.
-                minutes = (time.monotonic() - began) / 60
-                if minutes > (PATIENCE_SECONDS + most / STALL_BYTES * STALL_SECONDS) / 60:
-                    raise SystemFault(
-                        f"{wanted.what}: {url}: {error}; given up after {minutes:.0f} min; what came "
-                        "stays, and the same command goes on"
-                    ) from None
+                _require_patience(f"{wanted.what}: {url}: {error}", time.monotonic() - began, most)
                 time.sleep(tries.pop(0))
             else:
                 return
     kind = OfflineError if offline == len(problems) else SystemFault
     raise kind(f"{wanted.what}: {'; '.join(problems)}")
+
+
+def _require_patience(problem: str, seconds: float, held: int) -> None:
+    # A minute for each MiB, and ten more, are enough for any line.
+    if seconds > PATIENCE_SECONDS + held / STALL_BYTES * STALL_SECONDS:
+        raise SystemFault(
+            f"{problem}; given up after {seconds / 60:.0f} min; what came stays, and the same command goes on"
+        ) from None
 
 
 class _Running:

@@ -33,8 +33,9 @@ STALL_SECONDS = TIMEOUT_SECONDS
 STALL_BYTES = 1 << 20
 CERTIFICATES = "SLAMHIVE_CERTIFICATES"
 """Variable with a file of further authorities' certificates, such as that of a lab's own mirror."""
-_PAGE_BYTES = 1 << 20
+PAGE_BYTES = 1 << 20
 _RANGE = re.compile(r"bytes (\d+)-(\d+)/(\d+|\*)", re.ASCII)
+_PAGE = re.compile(rb"(?:\xef\xbb\xbf)?\s*<(?:!doctype\s+html|html)\b", re.IGNORECASE)
 _PACKINGS = {"gzip", "x-gzip", "deflate", "br", "zstd", "compress"}
 _AGAIN = {408, 425, 429, 500, 502, 503, 504}
 """Statuses after which another try may succeed."""
@@ -44,6 +45,10 @@ class Interrupted(SystemFault):
     """A server that is away, overloaded, or ends in the middle: the same address is worth another try."""
 
     reason = "Interrupted"
+
+
+class WrongPartError(Interrupted):
+    """A server that sends other bytes of a file than those that it was asked for."""
 
 
 class OfflineError(SystemFault):
@@ -167,7 +172,7 @@ class HttpsResponse:
             Interrupted: The connection is lost.
         """
         page = b""
-        while len(page) < _PAGE_BYTES and (block := self.read(_PAGE_BYTES - len(page))):
+        while len(page) < PAGE_BYTES and (block := self.read(PAGE_BYTES - len(page))):
             page += block
         return page.decode("utf-8", "replace")
 
@@ -200,15 +205,33 @@ def open_url(url: str, start: int = 0, end: int | None = None, condition: str | 
         page = _HtmlPage(answer.read_page())
     target = page.confirmation(url)
     if target is None:
-        raise DataError(
-            f"{url} leads to a page, {page.title!r}, not to a file: it may want a login or a click; open it "
-            "in a browser"
-        )
+        raise _leads_to_page(url, page)
     answer = _open(target, start, end, condition)
     if _is_page(answer, url):
         with answer:
             raise SystemFault(f"{url}: answers a page again after its confirmation; try again later")
     return answer
+
+
+def require_no_page(url: str, beginning: bytes) -> None:
+    """Check that what came isn't a page that the server gave out for a file.
+
+    Args:
+        url: The address that it came from.
+        beginning: Its first bytes.
+
+    Raises:
+        DataError: It is one.
+    """
+    if _PAGE.match(beginning) and not _is_address_of_page(url):
+        raise _leads_to_page(url, _HtmlPage(beginning.decode(errors="replace")))
+
+
+def _leads_to_page(url: str, page: _HtmlPage) -> DataError:
+    title = f" {page.title!r}," if page.title else ""
+    return DataError(
+        f"{url} leads to a page,{title} not to a file: it may want a login or a click; open it in a browser"
+    )
 
 
 class _HttpsAlone(urllib.request.HTTPRedirectHandler):
@@ -286,8 +309,9 @@ def _answer(response: Any, start: int, pace: _AnswerPace) -> HttpsResponse:
         match = _RANGE.fullmatch(headers.get("Content-Range", ""))
         if match is None or _number(match[1]) != start:
             response.close()
-            found = _shown(str(headers.get("Content-Range")))
-            raise Interrupted(f"sent another range than bytes {start}-: {found}")
+            found = headers.get("Content-Range")
+            said = f"others ({_shown(found)})" if found else "some without saying which"
+            raise WrongPartError(f"the server was asked for the bytes from {start:,} on, and sent {said}")
         total = None if match[3] == "*" else _number(match[3])
         tells_end = total is not None
         return HttpsResponse(
@@ -308,7 +332,11 @@ def _number(digits: str) -> int:
 
 def _is_page(answer: HttpsResponse, url: str) -> bool:
     kind = answer._response.headers.get_content_type()  # noqa: SLF001 - of this module
-    return kind == "text/html" and not urlsplit(url).path.endswith((".html", ".htm"))
+    return kind == "text/html" and not _is_address_of_page(url)
+
+
+def _is_address_of_page(url: str) -> bool:
+    return urlsplit(url).path.endswith((".html", ".htm"))
 
 
 class _HtmlPage(HTMLParser):
