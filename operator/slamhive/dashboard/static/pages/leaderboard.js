@@ -328,7 +328,8 @@ function Board({ board, metric, by, csv, suspects, beside }) {
           />
           <p class="quiet">
             Dots are geometric means over datasets of the ratio to the ${first} there, lines hold them with
-            95 % as far as n different results can tell; a single one has no line, one without an end an arrow.
+            95 % as far as n different results can tell; a single one has no line, one without an end an
+            arrow.
             ${few.length > 0 && ' Hollow: on fewer than half as many datasets as others.'}
           </p>
         `
