@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import sys
 from contextlib import asynccontextmanager
@@ -149,3 +150,10 @@ def open_app() -> Callable[..., Any]:
 @pytest.fixture
 def make_run() -> Callable[..., RunRecord]:
     return run
+
+
+@pytest.fixture
+def looks_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have each answer look at the archive, all of it, however long the look before took."""
+    for name, seconds in (("LOOK_SECONDS", 0.0), ("_REST", 0.0), ("_LONG_SECONDS", math.inf)):
+        monkeypatch.setattr(f"slamhive.dashboard.sources.archived.{name}", seconds)

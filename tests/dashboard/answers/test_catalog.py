@@ -121,13 +121,10 @@ async def test_nothing_is_there_yet(tmp_path: Path, open_app: Callable[..., Any]
     assert not (tmp_path / "none.sqlite").exists()
 
 
+@pytest.mark.usefixtures("looks_at_once")
 async def test_an_archive_that_comes_later_is_found(
-    url: str,
-    open_app: Callable[..., Any],
-    make_run: Callable[..., RunRecord],
-    monkeypatch: pytest.MonkeyPatch,
+    url: str, open_app: Callable[..., Any], make_run: Callable[..., RunRecord]
 ) -> None:
-    monkeypatch.setattr("slamhive.dashboard.sources.archived.LOOK_SECONDS", 0.0)
     async with open_app(Workstation(url)) as client:
         assert (await client.get("/runs"))["total"] == 0
         with Archive.open(url) as archive:
@@ -135,11 +132,8 @@ async def test_an_archive_that_comes_later_is_found(
         assert (await client.get("/runs"))["total"] == 1
 
 
-async def test_a_damaged_archive_is_said_and_survived(
-    tmp_path: Path, open_app: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("slamhive.dashboard.sources.archived.LOOK_SECONDS", 0.0)
-    monkeypatch.setattr("slamhive.dashboard.sources.archived._REST", 0.0)
+@pytest.mark.usefixtures("looks_at_once")
+async def test_a_damaged_archive_is_said_and_survived(tmp_path: Path, open_app: Callable[..., Any]) -> None:
     file = tmp_path / "archive.sqlite"
     file.write_bytes(b"this is no database" * 100)
     async with open_app(Workstation(f"sqlite:///{file}")) as client:
@@ -148,11 +142,10 @@ async def test_a_damaged_archive_is_said_and_survived(
         assert (await client.get("/runs"))["total"] == 0
 
 
+@pytest.mark.usefixtures("looks_at_once")
 async def test_listeners_hear_of_each_change(
     assorted: str, make_run: Callable[..., RunRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("slamhive.dashboard.sources.archived.LOOK_SECONDS", 0.0)
-    monkeypatch.setattr("slamhive.dashboard.sources.archived._REST", 0.0)
     monkeypatch.setattr("slamhive.dashboard.server.events.CHECK_SECONDS", 0.0)
     service = Service(Workstation(assorted))
     await service.start()

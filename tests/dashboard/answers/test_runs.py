@@ -76,11 +76,10 @@ async def test_the_header_links_the_next_page(api: Any) -> None:
     assert "link" not in (await api.raw.get("/api/v1/runs?limit=1000")).headers
 
 
+@pytest.mark.usefixtures("looks_at_once")
 async def test_a_page_stays_in_place_while_rows_come_and_go(
-    api: Any, assorted: str, make_run: Callable[..., RunRecord], monkeypatch: pytest.MonkeyPatch
+    api: Any, assorted: str, make_run: Callable[..., RunRecord]
 ) -> None:
-    monkeypatch.setattr("slamhive.dashboard.sources.archived.LOOK_SECONDS", 0.0)
-    monkeypatch.setattr("slamhive.dashboard.sources.archived._REST", 0.0)
     first = await api.get("/runs?limit=5&sort=ate.rmse")
     with Archive.open(assorted) as archive:
         archive.remove_run("uid-004")  # the last row of the first page
@@ -178,11 +177,8 @@ async def test_columns_tell_their_kind_range_and_values(api: Any) -> None:
     assert features["kind"] == "other"
 
 
-async def test_a_note_is_found_as_soon_as_it_is_written_and_is_plain_text(
-    api: Any, assorted: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("slamhive.dashboard.sources.archived.LOOK_SECONDS", 0.0)
-    monkeypatch.setattr("slamhive.dashboard.sources.archived._REST", 0.0)
+@pytest.mark.usefixtures("looks_at_once")
+async def test_a_note_is_found_as_soon_as_it_is_written_and_is_plain_text(api: Any, assorted: str) -> None:
     asked = ("/search?words=v2+kernel", "/runs?where=tags+contains+robust", "/runs?where=note+contains+'<B>'")
     assert [(await api.get(path))["total"] for path in asked] == [0, 0, 0]
     with Archive.open(assorted) as archive:
