@@ -105,9 +105,10 @@ def test_settings_that_rows_are_over_are_named_of_every_competitor() -> None:
 
 def test_a_setting_that_changes_no_trajectory_is_named_with_whom() -> None:
     told = "n changes nothing for idle: equal trajectories at all values"
+    names: list[tuple[Any, int]] = [("idle", 0), ("moved", 1), (None, 0)]  # a damaged row says no name
     rows = [
         make_row(name, dataset, 1.0, **{"parameters.n": n, "trajectory.sha256": f"{dataset} {n * moved}"})
-        for name, moved in (("idle", 0), ("moved", 1))
+        for name, moved in names
         for dataset in ("hall", "yard")
         for n in (1, 2)
     ]

@@ -388,8 +388,9 @@ def test_a_setting_that_always_fails_weighs_as_much_as_one_that_is_always_tracke
     assert grid.medians.tolist() == [[0.2]]
 
 
-def test_failures_of_a_program_that_fails_now_and_then_count_each() -> None:
-    rows = repeated({1: 0.1, 2: 0.2})
+@pytest.mark.parametrize("version", [{}, {"evaluationVersion": 2}])
+def test_failures_of_a_program_that_fails_now_and_then_count_each(version: dict[str, int]) -> None:
+    rows = [one | version for one in repeated({1: 0.1, 2: 0.2})]
     rows += [
         row(None, None, reason="AlgorithmFailed") | {"parameters.n": 2, "repetition": k} for k in range(3)
     ]

@@ -555,9 +555,12 @@ def has_track(row: Row) -> bool:
 
 
 def setting(row: Row) -> tuple[Any, ...]:
-    """Return the settings and the measurement of a row, whichever repetition it is."""
+    """Return the settings and the measurement of a row, whichever repetition it is.
+
+    The version of the evaluation is that of a result, which not all ends have.
+    """
     names = sorted(name for name in row if name.startswith(SETTINGS) and row[name] is not None)
-    facets = [_hashable(row.get(name)) for name in FACETS]
+    facets = [_hashable(row.get(name)) for name in FACETS if name != "evaluationVersion"]
     return (*facets, *((name, _hashable(row[name])) for name in names))
 
 

@@ -270,7 +270,7 @@ def idle_notes(frame: Frame, pooled: Sequence[str]) -> list[str]:
     groups = Groups(frame, SUBJECT)
     members = list(zip(groups.keys, groups.members(), strict=True))
     equal = [bool((tracks.codes[rows] == max(tracks.codes[rows[0]], 0)).all()) for _, rows in members]
-    able = {key["algorithm"] for (key, _), same in zip(members, equal, strict=True) if same}
+    able = {key["algorithm"] for (key, _), same in zip(members, equal, strict=True) if same} - {None}
     idle: set[tuple[Any, str]] = set()
     moved: set[tuple[Any, str]] = set()
     for (key, rows), same in zip(members, equal, strict=True):
@@ -530,7 +530,9 @@ class Copies:
 
     @cached_property
     def _settings(self) -> Indices:
-        return Groups(self._frame, [*FACETS, *varying(self._frame)]).of_row
+        # Only who was measured has a version of the evaluation: by it, no setting would end in two ways.
+        facets = [name for name in FACETS if name != "evaluationVersion"]
+        return Groups(self._frame, [*facets, *varying(self._frame)]).of_row
 
     def among(self, of_row: Indices, of_wider: Indices | None = None) -> Mask:
         """Tell which rows are such copies, (n,).
