@@ -255,7 +255,7 @@ def test_a_recording_that_others_can_not_read_is_named(boxes: Boxes) -> None:
     boxes(shell(POSES))
     (bag,) = boxes.home.path.glob("variants/*/recording.bag")
     aside = bag.with_name("closed")
-    shutil.copyfile(bag, aside)  # it is linked to the recording of all tests
+    shutil.copy2(bag, aside)  # it is linked to the recording of all tests
     aside.chmod(0o600)
     aside.replace(bag)
     (record,) = boxes(shell(POSES))
