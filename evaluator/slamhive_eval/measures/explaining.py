@@ -42,6 +42,8 @@ _EXACT = 1e-7
 """Errors below this share of the path, or in rad, are rounding."""
 _SEARCH_SECONDS = 2.0
 _SETTLED_SECONDS = 2e-5
+_AS_GOOD = math.log(1.1)
+"""Log of the factor by which an offset by turning rates may fit worse than the best, which drift moves."""
 _STEP_SECONDS = 1.0
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 _ROUNDS = 60
@@ -305,13 +307,8 @@ class _Pair:
 
     def _clock(self, reading: _Reading, half: int | None) -> _Reading | None:
         """The offset of the estimate's clock."""
-        taken = []
-        if self._oriented:
-            try:
-                found = find_offset(self._reference, self._read(replace(reading, offset=0.0), half))
-                taken.append(found.offset_seconds)
-            except AssociationError:
-                pass
+        turning = self._turning_offset(reading, half)
+        taken = [] if turning is None else [turning]
         start = self._reference.stamps[0] - self._estimate.stamps[0]
         taken += [reading.offset, start]
         taken += [sign * seconds for seconds, _ in _CLOCKS for sign in (1.0, -1.0)]
@@ -319,7 +316,22 @@ class _Pair:
         best = min(taken, key=lambda offset: self._cost(replace(reading, offset=offset), half))
         if not math.isfinite(self._cost(replace(reading, offset=best), half)):
             return None
-        return replace(reading, offset=self._nearby(reading, best, half))
+        fitted = replace(reading, offset=self._nearby(reading, best, half))
+        if turning is not None:
+            turned = replace(reading, offset=turning)
+            if self._cost(turned, half) <= self._cost(fitted, half) + _AS_GOOD:
+                return turned
+        return fitted
+
+    def _turning_offset(self, reading: _Reading, half: int | None) -> float | None:
+        """The offset by turning rates, in which drift has no part; None where it can't be told."""
+        if not self._oriented:
+            return None
+        try:
+            found = find_offset(self._reference, self._read(replace(reading, offset=0.0), half))
+        except AssociationError:
+            return None
+        return found.offset_seconds
 
     def _nearby(self, reading: _Reading, offset: float, half: int | None) -> float:
         """Return the offset near another one at which the pair fits best, by golden section."""

@@ -136,6 +136,7 @@ def add(
     """
     home, source = Home.from_environment(), sources[0]
     if len(sources) > 1:
+        _require_pieces(sources)
         _suggest(sources, _named(source, name))
         return
     if not source.exists() and catalogue.is_title(str(source)):
@@ -476,6 +477,19 @@ def _look_at(home: Home, name: str) -> None:
 def _added(manifest: Path) -> None:
     out.print(f"known now as {manifest.parent.name}: {manifest}", soft_wrap=True)
     remark(f"look into it: slamhive dataset check {manifest.parent.name}")
+
+
+def _require_pieces(sources: Sequence[Path]) -> None:
+    for source in sources:
+        if source.suffix in _MANIFESTS and source.is_file():
+            what = "a manifest"
+        elif not source.exists() and catalogue.is_title(str(source)) and source.suffix not in _FILES:
+            what = "a sequence of the catalogue"
+        else:
+            continue
+        raise InputError(
+            f"{source}: {what} is added by itself, one at a time; only the pieces of a bag are added together"
+        )
 
 
 def _suggest(sources: Sequence[Path], name: str) -> None:

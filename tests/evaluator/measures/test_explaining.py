@@ -114,6 +114,18 @@ def test_nothing_is_said_of_a_pair_as_it_should_be(drift: float) -> None:
     assert explain(truth(), estimate(drift)).faults == ()
 
 
+def test_an_offset_is_that_of_the_turns_where_positions_drift() -> None:
+    """Positions that drift and are ahead of the turns suit another offset than the clock's best."""
+    found = estimate()
+    t = found.stamps - found.stamps[0]
+    ahead = np.stack([np.interp(t + 0.03, t, axis) for axis in found.positions.T], axis=1)
+    ahead += np.stack([np.sin(np.pi * t / SECONDS), np.cos(np.pi * t / SECONDS), 0 * t], axis=1)
+    yaw = np.stack([0 * t, 0 * t, 0.2 * np.sin(2 * np.pi * t / SECONDS)], axis=1)
+    turned = rotation.multiply(rotation.from_roll_pitch_yaw(yaw), found.quaternions)
+    (fault,) = explain(truth(), Trajectory(found.stamps, ahead, turned).shifted(0.15)).faults
+    assert (fault.code, fault.value) == ("clock", pytest.approx(-0.15, abs=2e-3))
+
+
 def test_two_faults_are_undone_one_after_the_other() -> None:
     found = explain(truth(), read_as(estimate().shifted(0.2), "inverse"))
     assert {fault.code for fault in found.faults} == {"clock", "inverse"}
