@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -39,9 +39,13 @@ from slamhive.model.evaluation import Evaluation, EvaluationSettings
 from slamhive.model.loading import load_file
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from slamhive.bridges.bundles.contents import BundledRun
     from slamhive.bridges.bundles.opening import OpenedBundle
     from slamhive.local.running.workbench import Workbench
+
+K = TypeVar("K", Evaluation, Dataset)
 
 _SHOWN = 40
 
@@ -111,28 +115,23 @@ def make_bundle(
 
 
 def _settings(files: list[Path]) -> list[EvaluationSettings]:
-    found = []
-    for path in files:
-        evaluations = [item for item in load_file(path) if isinstance(item, Evaluation)]
-        if not evaluations:
-            raise InputError(f"{path}: no Evaluation in it", "evaluation")
-        found += [
-            EvaluationSettings.model_validate(
-                item.spec.model_dump(include=set(EvaluationSettings.model_fields))
-            )
-            for item in evaluations
-        ]
-    return found
+    return [
+        EvaluationSettings.model_validate(item.spec.model_dump(include=set(EvaluationSettings.model_fields)))
+        for _, item in _objects(files, Evaluation)
+    ]
 
 
 def _datasets(files: list[Path]) -> list[DatasetPlace]:
-    found = []
+    return [DatasetPlace(item, path.parent.absolute()) for path, item in _objects(files, Dataset)]
+
+
+def _objects(files: list[Path], kind: type[K]) -> Iterator[tuple[Path, K]]:
+    """Go through the objects of a kind in files that an option of its name gave, each with its file."""
     for path in files:
-        datasets = [item for item in load_file(path) if isinstance(item, Dataset)]
-        if not datasets:
-            raise InputError(f"{path}: no Dataset in it", "dataset")
-        found += [DatasetPlace(item, path.parent.absolute()) for item in datasets]
-    return found
+        found = [item for item in load_file(path) if isinstance(item, kind)]
+        if not found:
+            raise InputError(f"{path}: no {kind.__name__} in it", kind.__name__.lower())
+        yield from ((path, item) for item in found)
 
 
 def verify_bundle(
