@@ -335,7 +335,13 @@ async function mixed(table, rows, told, files) {
     if (told.includes(name) || (owner && told.includes(owner))) continue;
     if (name === READER && !told.some((one) => one.startsWith('usage.cpu.'))) continue;
     const { at } = await column(table, name, name, files);
-    const values = [...new Set(rows.map(at))];
+    let meant = rows;
+    if (name === READER) {
+      // Of a run that was ended no CPU is drawn.
+      const phase = await column(table, 'phase', 'phase', files);
+      meant = rows.filter((row) => phase.at(row) === 'Succeeded');
+    }
+    const values = [...new Set(meant.map(at))];
     if (values.length < 2) continue;
     const shown = values
       .slice(0, MOST_TOLD)
