@@ -335,9 +335,11 @@ class _BundleMaking:
             InputError: nobody says where a dataset's files are, or its manifest has changed since.
         """
         workshop, folder = self._bench.workshop, self._bench.home.path
-        given = next((one for one in self._order.datasets if one.dataset.name == entry.name), None)
-        if entry.kind == "Dataset" and given is not None:
-            if CatalogEntry.of(given.dataset).content_hash != entry.content_hash:
+        named = [one for one in self._order.datasets if one.dataset.name == entry.name]
+        if entry.kind == "Dataset" and named:
+            hashed = (one for one in named if CatalogEntry.of(one.dataset).content_hash == entry.content_hash)
+            given = next(hashed, None)
+            if given is None:
                 raise InputError(
                     f"{entry.name!r} is not as the runs used it: {self._order.sweep!r} is over another "
                     "recording of that name, or its manifest was edited since",
