@@ -425,6 +425,11 @@ def test_cpu_of_an_adapter_that_reads_by_itself_and_tells_no_clock_is_marked_bes
     # Where no other's is without it there is nothing beside which it could be misread.
     assert not any("‡" in note for note in aggregate(frame_of(rows[1:]), ["usage.cpu.seconds"]).notes)
     assert not any("‡" in note for note in aggregate(frame, ["ate.rmse"]).notes)
+    # Of records of others there can be the mean load alone.
+    mean = {"usage.cpu.seconds": None, "usage.cpu.meanCores": 1.5, "usage.includesReader": True}
+    frame = frame_of([rows[0], row(1.0, algorithm="theirs", **mean)])
+    noted = aggregate(frame, ["usage.cpu.meanCores"], ["algorithm"]).notes
+    assert any(note.startswith("‡ the CPU of theirs holds the reading") for note in noted)
     # A run that was ended before it could say so has no figure that is shown.
     ended = row(None, algorithm="kiss-icp", phase="Failed", **told | {"usage.includesReader": None})
     frame = frame_of([rows[0], ended])

@@ -26,7 +26,8 @@ def frame_of(*rows: dict[str, Any]) -> Frame:
 
 
 def test_a_line_says_what_the_shown_columns_mean_in_these_runs() -> None:
-    runs = frame_of({"usage.includesReader": False, "usage.readerCpuSeconds": 1.0})
+    cpu = {"usage.cpu.seconds": 9.0, "usage.readerCpuSeconds": 1.0}
+    runs = frame_of({"usage.includesReader": False, **cpu})
     shown = ["ate.rmse", "rpe[0].rmse", "usage.cpu.secondsPerDataSecond", "coverage", "parameters.k"]
     (line,) = meanings(runs, shown)
     assert line.split("; ") == [

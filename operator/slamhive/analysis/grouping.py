@@ -336,11 +336,17 @@ def copy_notes(copies: int, metrics: Iterable[str]) -> list[str]:
     return [f"equal results count once {COPIED}, in n and in errors: {told} another's trajectory{whole}"]
 
 
+def shows_cpu(frame: Frame) -> Mask:
+    """Tell of which rows CPU is shown: not of runs that were ended, whatever they say of it, (n,)."""
+    # Records of others can have the mean load alone.
+    told = frame.column("usage.cpu.seconds").present | frame.column("usage.cpu.meanCores").present
+    return told & where_equal(frame, "phase", Phase.SUCCEEDED.value)
+
+
 def holds_reader(frame: Frame, metrics: Iterable[str]) -> Mask:
     """Tell of which rows CPU is shown that holds reading, or may, where that of others doesn't, (n,)."""
     told = frame.column("usage.includesReader").floats()
-    # What an ended run says of itself, or no longer could, is of no figure that is shown.
-    measured = frame.column("usage.cpu.seconds").present & where_equal(frame, "phase", Phase.SUCCEEDED.value)
+    measured = shows_cpu(frame)
     if not any(name.startswith(CPU) for name in metrics) or not (told == 0).any():
         measured = np.zeros_like(measured)
     found: Mask = measured & (told != 0)

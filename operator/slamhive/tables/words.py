@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.grouping import where_equal
+from slamhive.analysis.grouping import shows_cpu, where_equal
 from slamhive.analysis.measures import CAUSAL, measure_of
 from slamhive.analysis.metrics import named_final
-from slamhive.model.results import Outcome, Phase
+from slamhive.model.results import Outcome
 from slamhive_eval.evaluation import MAX_ATE_SHARE, MAX_LOCAL_SHARE
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class _MeaningParts(dict[str, str]):
                 return " without alignment"
             return f" after {' or '.join(kinds)}" if kinds else ""
         if part == "reader":
-            shown = self._frame.select(where_equal(self._frame, "phase", Phase.SUCCEEDED.value))
+            shown = self._frame.select(shows_cpu(self._frame))
             found = shown.column("usage.includesReader").factorized()[1]  # None: it isn't known
             return _READER.get(found[0], "") if len(found) == 1 else ""
         stem = match[0] if (match := _RPE.match(self._column)) else ""

@@ -67,7 +67,11 @@ async def test_points_hold_every_run_failed_or_not(api: Any) -> None:
 def test_readers_are_told_of_where_cpu_is_drawn_of_runs_that_have_one(
     readers: list[bool | None], axis: str, told: list[str]
 ) -> None:
-    columns: dict[str, Any] = {"usage.includesReader": readers, "phase": ["Succeeded", "Succeeded", "Failed"]}
+    columns: dict[str, Any] = {
+        "usage.includesReader": readers,
+        "usage.cpu.seconds": [1.0, 2.0, 3.0],
+        "phase": ["Succeeded", "Succeeded", "Failed"],
+    }
     frame = Frame({name: Column.of(values) for name, values in columns.items()}, 3)
     assert [item["column"] for item in mixtures(frame, ["seed", axis])] == told
 

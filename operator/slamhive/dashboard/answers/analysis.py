@@ -19,16 +19,15 @@ from slamhive.analysis.grouping import (
     Groups,
     aggregate,
     follows,
+    shows_cpu,
     varies,
     varying,
-    where_equal,
 )
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.measures import CAUSAL
 from slamhive.dashboard.answering.encoding import Body, plain
 from slamhive.dashboard.answers.columns import coded, figure_json, heading, interval_json, summary_json
 from slamhive.dashboard.problems import TooLarge
-from slamhive.model.results import Phase
 from slamhive.tables.queries import column, columns, number_column, outcomes, select
 from slamhive.tables.text import as_columns, flat_cells, flat_summary, key_text
 from slamhive.tables.timeliness import FACTOR, LATENCIES, WORDS, timeliness
@@ -112,8 +111,8 @@ def mixtures(frame: Frame, told: list[str]) -> list[dict[str, Any]]:
     """
     mixed = []
     candidates = [(name, frame) for name in KEPT_APART if name != _READER]
-    if any(name.startswith(CPU) for name in told):  # of a run that was ended no CPU is drawn
-        candidates.append((_READER, frame.select(where_equal(frame, "phase", Phase.SUCCEEDED.value))))
+    if any(name.startswith(CPU) for name in told):
+        candidates.append((_READER, frame.select(shows_cpu(frame))))
     if not set(_MEMORY).isdisjoint(told):
         candidates.append((_KIND, frame.select(frame.column(_MEMORY[0]).present)))
     for name, rows in candidates:
