@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any
 import httpx
 import pytest
 import yaml
-from onnode.documents import ROOT
-from onnode.lab import OPERATOR, manifest
+from onnode.lab import OPERATOR
 from onnode.node import processes
 from testcluster.access import until
 
@@ -102,29 +101,13 @@ def page(lab: Lab, server: tuple[str, ssl.SSLContext]) -> Iterator[Page]:
         yield Page(client)
 
 
-def begin(lab: Lab, name: str, count: int) -> None:
-    """Begin a Sweep of runs that take a moment."""
-    lab.apply_algorithm(ROOT / "tests" / "images" / "shell-algorithm")
-    speeds = [round(1 + 0.1 * step, 1) for step in range(count)]
-    lab.apply(
-        manifest(
-            "Sweep",
-            name,
-            template={"spec": lab.run("x", "shell-dead-reckoning")["spec"]},
-            matrix=[{"path": "parameters.speed", "values": speeds}],
-            parallelism=2,
-            cachePolicy="Rerun",
-        )
-    )
-
-
 def of_sweep(page: Page, name: str) -> dict[str, Any]:
     found = [item for item in page.get("sweeps")["items"] if item["name"] == name]
     return found[0] if found else {"phases": {}, "live": None}
 
 
 def test_a_running_sweep_is_seen_live_with_its_files_and_ground_truth(lab: Lab, page: Page) -> None:
-    begin(lab, "seen", 4)
+    lab.begin("seen", 4)
     with page.open():
         until(lambda: page.seen and page.seen[-1]["counts"]["live"], "live runs among the events", 180)
         # Those may be runs of other tests' sweeps.
@@ -182,7 +165,7 @@ def ca(lab: Lab) -> str:
 
 
 def test_a_page_goes_on_after_dashboard_and_operator_were_killed(lab: Lab, page: Page) -> None:
-    begin(lab, "through", 6)
+    lab.begin("through", 6)
 
     def done(count: int) -> bool:
         try:

@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import os
 import signal
-from collections import Counter
 from typing import TYPE_CHECKING
 
 import pytest
 from onnode.documents import ROOT
-from onnode.lab import OPERATOR, RUNS, manifest, needed_one_attempt
+from onnode.lab import OPERATOR, RUNS, manifest
 from onnode.node import processes
 from testcluster.access import until
 
@@ -42,17 +41,7 @@ def algorithms(lab: Lab) -> None:
 
 
 def test_an_operator_killed_twice_loses_and_doubles_nothing(lab: Lab) -> None:
-    speeds = [round(1 + 0.1 * step, 1) for step in range(10)]
-    lab.apply(
-        manifest(
-            "Sweep",
-            "killed",
-            template={"spec": lab.run("x", "shell-dead-reckoning")["spec"]},
-            matrix=[{"path": "parameters.speed", "values": speeds}],
-            parallelism=3,
-            cachePolicy="Rerun",
-        )
-    )
+    speeds = lab.begin("killed", 10, parallelism=3)
     seen: dict[str, str] = {}
 
     def done(count: int) -> bool:
@@ -66,24 +55,8 @@ def test_an_operator_killed_twice_loses_and_doubles_nothing(lab: Lab) -> None:
     os.kill(process, signal.SIGKILL)
     until(lambda: done(4), "four runs", 240)
     lab.kubectl("delete", "pod", *OPERATOR, "--force", "--grace-period=0")
-    lab.completed("killed", 300)
-    until(lambda: lab.get("sweep", "killed")["status"].get("evaluated") == len(speeds), "all results", 240)
-
-    status, runs = lab.get("sweep", "killed")["status"], lab.runs("killed")
-    assert (status["succeeded"], status["failed"], status["running"]) == (len(speeds), 0, 0)
-    assert [run["spec"]["parameters"]["speed"] for run in runs] == speeds
+    runs = lab.end_each_once("killed", speeds)
     assert seen.items() <= {run["metadata"]["name"]: run["metadata"]["uid"] for run in runs}.items()
-    of_sweep = ("-l", "slamhive.io/sweep=killed,slamhive.io/role=run")
-    for kind in ("jobs", "pods"):
-        items = lab.get(kind, *of_sweep)["items"]
-        each = Counter(item["metadata"]["labels"]["slamhive.io/run"] for item in items)
-        assert each == {run["metadata"]["name"]: run["status"]["attempts"] for run in runs}
-    for run in runs:
-        assert needed_one_attempt(run["status"])
-        assert len(run["status"]["results"]) == 1
-        folders = [*(lab.results / "runs" / run["metadata"]["uid"]).iterdir()]
-        assert len(folders) <= run["status"]["attempts"]
-        assert any(str(folder).endswith(run["status"]["folder"]) for folder in folders)
 
 
 def left(lab: Lab, sweep: str) -> list[str]:

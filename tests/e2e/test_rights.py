@@ -5,15 +5,13 @@ from __future__ import annotations
 
 import json
 import time
-from collections import Counter
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from onnode.documents import ROOT
-from onnode.lab import OPERATOR, manifest, needed_one_attempt
+from onnode.lab import OPERATOR
 from testcluster.access import until
 
 if TYPE_CHECKING:
@@ -99,18 +97,7 @@ def taken_away(lab: Lab, right: Right) -> Iterator[None]:
 @pytest.mark.parametrize("name", RIGHTS)
 def test_a_right_that_is_away_for_a_while_costs_no_run_and_is_told(lab: Lab, name: str) -> None:
     right, sweep = RIGHTS[name], f"without-{name}"
-    lab.apply_algorithm(ROOT / "tests" / "images" / "shell-algorithm")
-    speeds = [round(1 + 0.1 * step, 1) for step in range(POINTS)]
-    lab.apply(
-        manifest(
-            "Sweep",
-            sweep,
-            template={"spec": lab.run("x", "shell-dead-reckoning")["spec"]},
-            matrix=[{"path": "parameters.speed", "values": speeds}],
-            parallelism=2,
-            cachePolicy="Rerun",
-        )
-    )
+    speeds = lab.begin(sweep, POINTS)
     until(lambda: (lab.get("sweep", sweep).get("status") or {}).get("succeeded"), "the first run", 240)
     with taken_away(lab, right):
         back = time.monotonic() + AWAY_SECONDS
@@ -119,18 +106,5 @@ def test_a_right_that_is_away_for_a_while_costs_no_run_and_is_told(lab: Lab, nam
         for saying in right.sayings:
             until(partial(names, lab, sweep, right, saying), f"{saying.__doc__}", 120)
         until(lambda: time.monotonic() >= back, "the time to pass")
-    lab.completed(sweep, 300)
-    until(lambda: lab.get("sweep", sweep)["status"].get("evaluated") == POINTS, "all results", 240)
-
-    status, runs = lab.get("sweep", sweep)["status"], lab.runs(sweep)
-    assert (status["succeeded"], status["failed"], status["running"]) == (POINTS, 0, 0)
-    assert [run["spec"]["parameters"]["speed"] for run in runs] == speeds
-    of_sweep = ("-l", f"slamhive.io/sweep={sweep},slamhive.io/role=run")
-    for kind in ("jobs", "pods"):
-        items = lab.get(kind, *of_sweep)["items"]
-        each = Counter(item["metadata"]["labels"]["slamhive.io/run"] for item in items)
-        assert each == {run["metadata"]["name"]: run["status"]["attempts"] for run in runs}
-    for run in runs:
-        assert needed_one_attempt(run["status"])
-        assert len(run["status"]["results"]) == 1
+    lab.end_each_once(sweep, speeds)
     until(lambda: not at_the_sweep(lab, sweep), "the sentence to be taken back")

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import yaml
 from onnode.documents import ROOT, Desk
+from testcluster.access import until
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -113,6 +115,41 @@ class Lab:
             "timeout": "5m",
         }
         return manifest("MappingRun", name, **(base | spec))
+
+    def begin(self, sweep: str, points: int, parallelism: int = 2) -> list[float]:
+        """Begin a Sweep of runs that take a moment, and return the speeds that it runs."""
+        self.apply_algorithm(ROOT / "tests" / "images" / "shell-algorithm")
+        speeds = [round(1 + 0.1 * step, 1) for step in range(points)]
+        self.apply(
+            manifest(
+                "Sweep",
+                sweep,
+                template={"spec": self.run("x", "shell-dead-reckoning")["spec"]},
+                matrix=[{"path": "parameters.speed", "values": speeds}],
+                parallelism=parallelism,
+                cachePolicy="Rerun",
+            )
+        )
+        return speeds
+
+    def end_each_once(self, sweep: str, speeds: list[float]) -> list[dict[str, Any]]:
+        """Wait for a Sweep that was begun, check that nothing was done twice, and return its runs."""
+        self.completed(sweep)
+        until(lambda: self.get("sweep", sweep)["status"].get("evaluated") == len(speeds), "all results", 240)
+        status, runs = self.get("sweep", sweep)["status"], self.runs(sweep)
+        assert (status["succeeded"], status["failed"], status["running"]) == (len(speeds), 0, 0)
+        assert [run["spec"]["parameters"]["speed"] for run in runs] == speeds
+        attempts = {run["metadata"]["name"]: run["status"]["attempts"] for run in runs}
+        for kind in ("jobs", "pods"):
+            items = self.get(kind, "-l", f"slamhive.io/sweep={sweep},slamhive.io/role=run")["items"]
+            assert Counter(item["metadata"]["labels"]["slamhive.io/run"] for item in items) == attempts
+        for run in runs:
+            assert needed_one_attempt(run["status"])
+            assert len(run["status"]["results"]) == 1
+            folders = [*(self.results / "runs" / run["metadata"]["uid"]).iterdir()]
+            assert len(folders) <= run["status"]["attempts"]
+            assert any(str(folder).endswith(run["status"]["folder"]) for folder in folders)
+        return runs
 
     def runs(self, sweep: str) -> list[dict[str, Any]]:
         """Return a Sweep's runs in the order of its points."""
