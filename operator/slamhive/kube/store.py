@@ -8,7 +8,6 @@ shared: never change it.
 
 from __future__ import annotations
 
-import sys
 from collections import OrderedDict, defaultdict
 from typing import TYPE_CHECKING, Any
 
@@ -242,7 +241,9 @@ def narrow(kind: Kind, obj: Object) -> Object:
     else:
         result["spec"] = obj.get("spec", {})
         result["status"] = obj.get("status") or {}
-    shared: Object = _interned(result)
+    if len(_WORDS) > _MOST_WORDS:
+        _WORDS.clear()
+    shared: Object = _shared(result)
     return shared
 
 
@@ -266,24 +267,29 @@ def _pod_status(status: Object) -> Object:
     return result
 
 
-def _interned(value: Any) -> Any:
+def _shared(value: Any) -> Any:
     # Thousands of objects repeat the same field names, labels and states. Written for speed: each value of
     # each event of a watch comes through here.
     kind = type(value)
     if kind is dict:
-        return {_word(name): _interned(item) for name, item in value.items()}
+        return {_word(name): _shared(item) for name, item in value.items()}
     if kind is list:
-        return [_interned(item) for item in value]
+        return [_shared(item) for item in value]
     if kind is str:
-        return sys.intern(value) if len(value) <= _SHORT_TEXT else value
+        return _WORDS.setdefault(value, value) if len(value) <= _SHORT_TEXT else value
     return _word(value) if isinstance(value, str) else value
 
 
 def _word(text: str) -> str:
-    return sys.intern(text if type(text) is str else str(text))  # a word of an enumeration is no plain string
+    plain = text if type(text) is str else str(text)  # a word of an enumeration is no plain string
+    return _WORDS.setdefault(plain, plain)
 
 
 _SHORT_TEXT = 32
+_MOST_WORDS = 20_000
+# Not sys.intern: Python 3.12 never lets go of what it was given, and each run brings some twenty words of
+# its own (versions, times, names).
+_WORDS: dict[str, str] = {}
 
 
 def _reference_field(kind: Kind) -> str:
