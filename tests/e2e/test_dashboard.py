@@ -19,7 +19,6 @@ from onnode.lab import OPERATOR
 from onnode.node import processes
 from testcluster.access import until
 
-from slamhive.kube.api.client import Api
 from slamhive.kube.api.kinds import OUR_KINDS
 
 if TYPE_CHECKING:
@@ -32,14 +31,8 @@ BROKEN = (httpx.HTTPError, AssertionError, ValueError)
 
 
 @pytest.fixture
-async def server(lab: Lab) -> tuple[str, ssl.SSLContext]:
-    """The API server's address, and the administrator's way in."""
-    api = await Api.connect(lab.cluster.kubeconfig)
-    access = await api.access()
-    await api.close()
-    context = ssl.create_default_context(cafile=access.ca_path)
-    context.load_cert_chain(str(access.certificate_path), access.private_key_path)
-    return access.server, context
+def server(lab: Lab) -> tuple[str, ssl.SSLContext]:
+    return lab.cluster.server()
 
 
 class Page:
