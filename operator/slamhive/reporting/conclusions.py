@@ -43,9 +43,11 @@ class _Rival:
     cost: float | None
 
     def is_near(self, other: _Rival) -> bool:
-        """Tell whether one with a larger error can't be told from this one."""
-        if other.error <= NEAR * self.error:
-            return True
+        """Tell whether one with a larger error is larger by less than one recording can tell."""
+        return other.error <= NEAR * self.error
+
+    def is_among(self, other: _Rival) -> bool:
+        """Tell whether runs of one with a larger error were as good as some of these."""
         return len(self.ends) > 1 and len(other.ends) > 1 and other.ends[0] <= self.ends[1]
 
 
@@ -119,14 +121,17 @@ def _ranked(dataset: str, rivals: Sequence[_Rival], cost: Metric) -> list[str]:
     best, others = rivals[0], rivals[1:]
     if not others:
         return [f"On {dataset} {best.name} alone tracked: {best.told}."]
-    near = [one for one in others if best.is_near(one)]
     sentences = [f"On {dataset} {best.name} has the smallest error: {best.told}{_price(best, rivals, cost)}."]
-    if near:
-        listed = ", ".join(f"{one.name} ({one.told})" for one in near[:_MOST])
-        more = f" and {len(near) - _MOST} more" if len(near) > _MOST else ""
-        sentences.append(
-            f"As good, within {100 * (NEAR - 1):.0f} % or the spread of the runs: {listed}{more}."
-        )
+    near = [one for one in others if best.is_near(one)]
+    among = [one for one in others if best.is_among(one) and one not in near]
+    for how, some in (
+        (f"within {100 * (NEAR - 1):.0f} %", near),
+        (f"with a best run no worse than the worst of {best.name}", among),
+    ):
+        if some:
+            listed = ", ".join(f"{one.name} ({one.told})" for one in some[:_MOST])
+            more = f" and {len(some) - _MOST} more" if len(some) > _MOST else ""
+            sentences.append(f"As good, {how}: {listed}{more}.")
     return sentences
 
 
