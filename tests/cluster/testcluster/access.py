@@ -70,7 +70,7 @@ class Cluster:
 
     def server(self) -> tuple[str, ssl.SSLContext]:
         """Return the API server's address and the administrator's way in, for who asks often or forges."""
-        view = json.loads(self.kubectl("config", "view", "--raw", "--minify", "-o", "json"))
+        view = json.loads(self.kubectl("config", "view", "--flatten", "--minify", "-o", "json"))
         (cluster,), (user,) = view["clusters"], view["users"]
 
         def text(holder: dict[str, str], name: str) -> str:
