@@ -100,9 +100,14 @@ def _name(cell: Cell, names: Sequence[str]) -> str:
 
 def _unranked(cells: Sequence[Cell], names: Sequence[str]) -> str:
     """Return the sentence on groups that are not ranked: who, and what became of how many of their runs."""
-    told = [f"{_name(cell, names)} ({_became(cell)})" for cell in cells[:_MOST]]
-    more = f" and {len(cells) - _MOST} more" if len(cells) > _MOST else ""
-    return f"Not ranked, for runs that did not track: {', '.join(told)}{more}."
+    told = [f"{_name(cell, names)} ({_became(cell)})" for cell in cells]
+    return f"Not ranked, for runs that did not track: {_first(told)}."
+
+
+def _first(told: Sequence[str]) -> str:
+    """Return the first of some, and how many more there are."""
+    more = f" and {len(told) - _MOST} more" if len(told) > _MOST else ""
+    return ", ".join(told[:_MOST]) + more
 
 
 def _became(cell: Cell) -> str:
@@ -129,9 +134,8 @@ def _ranked(dataset: str, rivals: Sequence[_Rival], cost: Metric) -> list[str]:
         (f"with a best run no worse than the worst of {best.name}", among),
     ):
         if some:
-            listed = ", ".join(f"{one.name} ({one.told})" for one in some[:_MOST])
-            more = f" and {len(some) - _MOST} more" if len(some) > _MOST else ""
-            sentences.append(f"As good, {how}: {listed}{more}.")
+            told = [f"{one.name} ({one.told})" for one in some]
+            sentences.append(f"As good, {how}: {_first(told)}.")
     return sentences
 
 
