@@ -191,7 +191,7 @@ def _steps(axis: Axis, where: str, catalog: Catalog, findings: Findings, *, sear
         if span
         else _values(axis, path, where, catalog, findings)
     )
-    seen: set[str] = set()
+    seen: set[object] = set()
     plain: list[Any] = []
     settings: list[Any] = []
     # What a value sets is one field, but for axes of whole objects and of maps.
@@ -203,12 +203,16 @@ def _steps(axis: Axis, where: str, catalog: Catalog, findings: Findings, *, sear
             setting = assign(path, value, place)
         if setting is None:
             continue
-        key = json.dumps(sorted(setting.items()))
+        taken = setting[path] if is_field else setting
+        is_single = isinstance(taken, int | float | str)
+        key = (type(taken), taken) if is_single else json.dumps(sorted(setting.items()))
         if key in seen:
             findings.problems.append(f"{place}: the value {value!r} stands twice")
         seen.add(key)
-        plain.append(normalize(value, place))
-        settings.append(setting[path] if is_field else setting)
+        shown = normalize(value, place)
+        # A range may have 100,000 numbers: each is held once.
+        plain.append(taken if is_single and (type(shown), shown) == key else shown)
+        settings.append(taken)
     steps = OneField(path, settings) if is_field else tuple(settings)
     return Dimension(axis.label, where, source, tuple(plain), steps, path, span)
 
