@@ -172,14 +172,22 @@ def test_a_batch_takes_three_queries(archive: Archive, make_run: MakeRun, make_r
     assert len([text for text in statements if text.startswith("SELECT")]) == 3
 
 
-def test_finished_points_of_a_sweep(archive: Archive, make_run: MakeRun, make_result: MakeResult) -> None:
+@pytest.mark.parametrize("at_once", [1, 2, 5000])
+def test_finished_points_of_a_sweep(
+    at_once: int,
+    archive: Archive,
+    make_run: MakeRun,
+    make_result: MakeResult,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("slamhive.archive.archive._ENDS_AT_ONCE", at_once)
     archive.put_run(
         make_run("a", index=3, sweep_uid="s", results=[make_result("x"), make_result("y", Outcome.LOST)])
     )
     archive.put_run(make_run("b", index=4, sweep_uid="s", phase=Phase.FAILED, reason=Reason.NO_TRAJECTORY))
     archive.put_run(make_run("c", index=5, sweep_uid="s", phase=Phase.RUNNING))
     archive.put_run(make_run("d", sweep_uid="another"))
-    found = archive.finished("s")
+    found = dict(archive.finished("s"))
     assert set(found) == {"a", "b"}
     assert (found["a"].index, found["a"].phase, found["a"].reason) == (3, Phase.SUCCEEDED, None)
     assert (found["b"].phase, found["b"].reason) == (Phase.FAILED, Reason.NO_TRAJECTORY)
@@ -206,7 +214,7 @@ def test_sweeps_of_one_name_are_told_apart(
         archive.put_sweep(SweepRecord(uid=uid, name="study", spec={}, namespace=place))
     archive.put_run(make_run("a", index=0, sweep_uid="u-lab", usage=usage, results=[make_result()]))
     archive.put_run(make_run("b", index=0, sweep_uid="u-students", phase=Phase.FAILED))
-    assert {uid: set(archive.finished(uid)) for uid in ("u-lab", "u-students", "study")} == {
+    assert {uid: {run for run, _ in archive.finished(uid)} for uid in ("u-lab", "u-students", "study")} == {
         "u-lab": {"a"},
         "u-students": {"b"},
         "study": set(),

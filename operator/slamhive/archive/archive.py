@@ -46,6 +46,9 @@ Item = TypeVar("Item")
 BATCH = 500
 """Runs read or written at a time."""
 
+_ENDS_AT_ONCE = 5000
+"""Runs of which the ends alone are read at a time."""
+
 FILTERS = (
     "uid",
     "name",
@@ -442,18 +445,33 @@ class Archive:
         with reading(self._engine) as connection:
             return connection.execute(query).scalar_one()
 
-    @patient
-    def finished(self, sweep_uid: str) -> dict[str, FinishedPoint]:
-        """Return the ends of a sweep's finished runs, by UID.
+    def finished(self, sweep_uid: str) -> Iterator[tuple[str, FinishedPoint]]:
+        """Go through the ends of a sweep's finished runs by UID, in the order of being stored.
+
+        Reads 5,000 at a time, so that memory doesn't grow with their number.
 
         Args:
             sweep_uid: the sweep's identity; two sweeps may have one name.
         """
+        after: int | None = 0
+        while after is not None:
+            points, after = self._some_finished(sweep_uid, after)
+            yield from points
+
+    @patient
+    def _some_finished(
+        self, sweep_uid: str, after: int
+    ) -> tuple[list[tuple[str, FinishedPoint]], int | None]:
+        """Return the ends of some runs behind a row, and the row behind which there may be more."""
         runs, results = schema.runs.c, schema.results.c
+        mine = runs.sweep_uid == sweep_uid, runs.phase.in_(_FINISHED), runs.id > after
+        ids = select(runs.id).where(*mine).order_by(runs.id)
+        with reading(self._engine) as connection:
+            last = connection.execute(ids.offset(_ENDS_AT_ONCE - 1).limit(1)).scalar()
         measured = select(func.count()).where(results.run_id == runs.id).scalar_subquery().label("results")
         query = (
             select(runs.uid, runs.point, runs.phase, runs.reason, measured, *(runs[name] for name in REMARKS))
-            .where(runs.sweep_uid == sweep_uid, runs.phase.in_(_FINISHED))
+            .where(*mine, *(() if last is None else (runs.id <= last,)))
             .order_by(runs.id)
         )
         points = self._some(
@@ -469,7 +487,7 @@ class Archive:
                 ),
             ),
         )
-        return dict(points)
+        return points, last
 
     @patient
     def earlier(self, sweep: str) -> list[EarlierRun]:

@@ -20,8 +20,9 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Self
 
 from slamhive.archive.connection import connect, reading
+from slamhive.archive.memory import return_memory
 from slamhive.tables.batches import BatchReader, joined
-from slamhive.tables.uncollected import return_memory, uncollected
+from slamhive.tables.uncollected import uncollected
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

@@ -22,13 +22,14 @@ from slamhive.analysis.frame import Frame
 from slamhive.archive import schema
 from slamhive.archive.connection import reading
 from slamhive.archive.documents import raw
+from slamhive.archive.memory import return_memory
 from slamhive.archive.rows import read_rows
 from slamhive.model.search import choosing_method
 from slamhive.tables.batches import CHANGES, RESULT_CHANGES, BatchReader
 from slamhive.tables.helping import read_all
 from slamhive.tables.marks import RunMarks
 from slamhive.tables.snapshots import Loaded, derived
-from slamhive.tables.uncollected import return_memory, uncollected
+from slamhive.tables.uncollected import uncollected
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory while a large table is made: no search for garbage in what stays, and nothing kept of what goes."""
+"""No search for garbage while a large table is made, of which all stays."""
 
 from __future__ import annotations
 
-import ctypes
 import gc
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -22,9 +21,3 @@ def uncollected() -> Iterator[None]:
     finally:
         if was:
             gc.enable()
-
-
-def return_memory() -> None:
-    """Give the system back what was let go of: glibc keeps holes between small values, a third of a load."""
-    with suppress(AttributeError, OSError):  # another library of C
-        ctypes.CDLL(None).malloc_trim(0)

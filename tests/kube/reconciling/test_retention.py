@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
     from testcluster.lab import Lab
 
+    from slamhive.archive.records import FinishedPoint
+
 RUNS = "mappingruns.slamhive.io"
 SETTINGS = {"evaluation": {"delaySeconds": 0.1}}
 
@@ -104,7 +106,7 @@ async def test_those_that_another_operator_removes_while_one_begins_count(
     lab.cluster.refuse(lambda *_: None)
     loop, finished = asyncio.get_running_loop(), archive.finished
 
-    def removing(uid: str) -> dict[str, Any]:
+    def removing(uid: str) -> Iterator[tuple[str, FinishedPoint]]:
         for run in runs_of(lab):
             if ARCHIVE_ONLY in annotations_of(run):
                 lab.delete("mappingrun", run["metadata"]["name"])

@@ -14,6 +14,7 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from slamhive.archive import SweepRecord
+from slamhive.archive.memory import return_memory
 from slamhive.engine import PointState
 from slamhive.kube.api.encoding import encode
 from slamhive.kube.api.kinds import annotations_of
@@ -196,18 +197,20 @@ async def remember(
         deletions=status.deleted or 0,
         search=search,
     )
-    there = {point_of(run) for run in live}
     for run in live:
         # Another operator may remove them before the first look: what is noted here is missed then.
         if (index := point_of(run)) is not None and index < len(memory.states):
             memory.note(index, run)
+    there = bytearray(len(memory.states))
     if archive is not None:
-        there |= await in_thread(_recall, sweep, archive, live, memory, cluster)
+        there = await in_thread(_recall, sweep, archive, live, memory, cluster)
+    alive = {point_of(run) for run in live}
     memory.lost = {
         index
         for index, state in enumerate(memory.states)
-        if state >= PointState.SUCCEEDED and index not in there
+        if state >= PointState.SUCCEEDED and not there[index] and index not in alive
     }
+    return_memory()
     return memory
 
 
@@ -221,8 +224,8 @@ def _tried(archive: Archive, uid: str) -> list[Trial]:
 
 def _recall(
     sweep: Sweep, archive: Archive, live: list[Object], memory: SweepMemory, cluster: str | None
-) -> set[int]:
-    """Take from the archive what became of the runs whose objects are gone; returns their points."""
+) -> bytearray:
+    """Take from the archive what became of the runs whose objects are gone; returns 1 for each such point."""
     uid = sweep.metadata.uid or ""
     archive.put_sweep(
         SweepRecord(
@@ -238,9 +241,9 @@ def _recall(
     )
     present = {run["metadata"]["uid"]: run for run in live}
     points = {point_of(run) for run in live}
-    ended: set[int] = set()
+    ended = bytearray(len(memory.states))
     without = set(present)
-    for run, point in archive.finished(uid).items():
+    for run, point in archive.finished(uid):
         if run in present:
             # What was measured or said of it later than it was archived is still to be written there.
             said = point.remarks.covers(annotations_of(present[run]))
@@ -254,11 +257,12 @@ def _recall(
             else:
                 succeeded = point.phase is Phase.SUCCEEDED
                 memory.states[point.index] = PointState.SUCCEEDED if succeeded else PointState.FAILED
-                ended.add(point.index)
+                ended[point.index] = 1
     if memory.search is not None:
+        gone = {index for index, has_ended in enumerate(ended) if has_ended}
         records = archive.runs({"sweep_uid": uid})
         while some := [*islice(records, _READ_AT_ONCE)]:
-            memory.search.note({one.index: one for one in some if one.index in ended})
+            memory.search.note({one.index: one for one in some if one.index in gone})
     totals = archive.totals(uid, without)
     memory.archived.reused, memory.archived.evaluated = totals.reused, totals.evaluated
     memory.archived.cpu_seconds = totals.cpu_seconds
