@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 from slamhive.archive import Archive
 from slamhive.archive.upgrading import upgrade
+from slamhive.contract.heap import keep_memory
 from slamhive.kube import handlers
 from slamhive.kube.api.client import Api
 from slamhive.kube.api.errors import StartError
@@ -38,6 +39,9 @@ if TYPE_CHECKING:
 _LONGEST_END_SECONDS = 5.0
 _OBJECTS_BETWEEN_COLLECTIONS = 20_000
 
+_KEPT_BYTES, _LARGE_BYTES = 16 << 20, 128 << 10
+"""Of memory: an operator works for months, and the API's long lists would leave holes among its objects."""
+
 _log = logging.getLogger("slamhive.operator")
 
 
@@ -55,6 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SlamHiveError as error:
         return _say(error, 1)
     set_up_logs(settings)
+    keep_memory(_KEPT_BYTES, _LARGE_BYTES)
     try:
         asyncio.run(run(settings, archive, options.kubeconfig))
     except SlamHiveError as error:

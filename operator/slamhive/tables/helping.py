@@ -20,7 +20,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Self
 
 from slamhive.archive.connection import connect, reading
-from slamhive.archive.memory import return_memory
+from slamhive.contract.heap import return_memory
 from slamhive.tables.batches import BatchReader, joined
 from slamhive.tables.uncollected import uncollected
 

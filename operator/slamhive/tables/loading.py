@@ -22,8 +22,8 @@ from slamhive.analysis.frame import Frame
 from slamhive.archive import schema
 from slamhive.archive.connection import reading
 from slamhive.archive.documents import raw
-from slamhive.archive.memory import return_memory
 from slamhive.archive.rows import read_rows
+from slamhive.contract.heap import return_memory
 from slamhive.model.search import choosing_method
 from slamhive.tables.batches import CHANGES, RESULT_CHANGES, BatchReader
 from slamhive.tables.helping import read_all

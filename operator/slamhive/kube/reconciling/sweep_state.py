@@ -14,7 +14,7 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from slamhive.archive import SweepRecord
-from slamhive.archive.memory import return_memory
+from slamhive.contract.heap import return_memory
 from slamhive.engine import PointState
 from slamhive.kube.api.encoding import encode
 from slamhive.kube.api.kinds import annotations_of

@@ -8,7 +8,6 @@ middle of: no database, no event loop, no log. It computes with numpy and plain 
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import math
 import os
@@ -26,12 +25,12 @@ from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from slamhive.contract.heap import keep_memory
 from slamhive.monitor.measuring.processes import limit_data, read_file, stat_fields
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
 
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of malloc.h
 _KEPT_BYTES = 16 << 20
 """Memory that is kept between answers: what is given back and taken again has to be zeroed each time."""
 _LARGE_BYTES = 4 << 20
@@ -160,7 +159,7 @@ class BoundedProcess:
         threading.Thread(target=lambda: (os.read(ended, 1), os._exit(0)), daemon=True).start()
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         limit(self._cpu_seconds, self._memory)
-        _keep_memory()
+        keep_memory(_KEPT_BYTES, _LARGE_BYTES)  # numpy's arrays, for the next ones
         given: dict[str, Any] = {}
         while True:
             try:
@@ -204,14 +203,6 @@ def limit(cpu_seconds: int, memory: int | None = None) -> None:
             Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         limit_data(memory)
-
-
-def _keep_memory() -> None:
-    """Keep what numpy's arrays took for the next ones, where the C library can be told to."""
-    with suppress(AttributeError):
-        library = ctypes.CDLL(None)
-        library.mallopt(_TRIM_THRESHOLD, _KEPT_BYTES)
-        library.mallopt(_MMAP_THRESHOLD, _LARGE_BYTES)
 
 
 def fork_apart(work: Callable[[], None], keep: Collection[int]) -> int:
