@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import statistics
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,7 @@ from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.api.transport import Request
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from testcluster.access import Cluster
 
@@ -38,6 +39,16 @@ class Cost:
     server: float
     cluster: float
     client: float
+
+
+def mean_cost(costs: Sequence[Cost]) -> Cost:
+    """Return the mean cost of loops that made as many Jobs each."""
+    return Cost(
+        rate=statistics.harmonic_mean([cost.rate for cost in costs]),
+        server=statistics.fmean(cost.server for cost in costs),
+        cluster=statistics.fmean(cost.cluster for cost in costs),
+        client=statistics.fmean(cost.client for cost in costs),
+    )
 
 
 def measured(access: Cluster, count: int, client: Callable[[], float], work: Callable[[], None]) -> Cost:

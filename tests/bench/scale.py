@@ -2,8 +2,8 @@
 """Benchmark of one large Sweep: ``make bench-scale``, or ``python tests/bench/scale.py --help``.
 
 Its runs are played on a real control plane, evaluated in batches, archived and deleted. Beside it loops make
-Jobs, plain ones and some with a run's own pod, at its beginning, in its middle and at its end, while it is
-suspended. With ``--kills`` parts are killed at random meanwhile. At the end a checker compares what archive
+Jobs, plain ones and some with a run's own pod, before it, every few thousand runs while it is suspended, and
+after it. With ``--kills`` parts are killed at random meanwhile. At the end a checker compares what archive
 and cluster hold with what there should be: no run twice, none lost, every figure by its definition.
 
 Its curve goes into a folder, as CSV and JSON.
@@ -17,6 +17,7 @@ import os
 import sys
 import tempfile
 import time
+from collections import defaultdict
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -29,7 +30,7 @@ sys.path.extend(
 )
 
 import operating
-from job_loops import JobLoops, measured
+from job_loops import JobLoops, mean_cost, measured
 from scaling import beside, checking, former, killing, sampling, storing
 from scaling.points import large_sweep
 from servers import postgresql
@@ -53,6 +54,8 @@ CLUSTER = "scale"
 SAMPLE_SECONDS = 10.0
 LONGEST_PAUSE = 900.0
 STAGES = ("beginning", "middle", "end")
+RUNS_A_TURN = 3000
+"""Between these loops make Jobs: what else the machine does changes over minutes, and is to be in both."""
 
 
 class Course:
@@ -83,29 +86,58 @@ class Course:
         self._sampler = sampler
         self._killer = killer
         self._clock = sampling.Clock()
-        self.peers: dict[str, dict[str, Cost]] = {}
-        self.parts: dict[str, dict[str, float]] = {}
+        self._turns = max(1, options.runs // len(STAGES) // RUNS_A_TURN)
+        self._costs: list[dict[str, Cost]] = []
+        self._spent: dict[str, defaultdict[str, float]] = {stage: defaultdict(float) for stage in STAGES}
         self.steps: dict[str, float] = {}
         self.problems: list[str] = []
 
     def run(self, where: str) -> dict[str, Any]:
         """Bring the Sweep to its end and return it as it is then."""
         count = self._options.runs
-        self._beside("beginning")
+        self._beside()
         body = large_sweep(SWEEP, count, self._options.window, retained=self._options.retained)
         self._access.apply(body, namespace=where)
         self._clock = sampling.Clock()
-        thirds = [count // 3, 2 * count // 3, count]
-        for number, stage in enumerate(STAGES):
-            if stage == "middle" and self._options.beside:
+        for number in range(len(STAGES) * self._turns):
+            stage = STAGES[number // self._turns]
+            if stage == "middle" and self._options.beside and not self.steps:
                 self._have_another(where)
-            self._advance(stage, thirds[number])
-            if stage == "middle":
+            ended = (number + 1) * count // (len(STAGES) * self._turns)
+            self._advance(stage, ended)
+            if ended < count:
                 self._pause(where)
         sweep = self._until(lambda body: bool((body.get("status") or {}).get("completionTime")), "its end")
         self._until(self._is_tidy, "what is archived to be deleted")
-        self._beside("end")
+        self._beside()
+        for stage in set(STAGES) - self.parts.keys():
+            print(f"{stage}: too few runs ended meanwhile for figures", flush=True)
         return sweep
+
+    @property
+    def parts(self) -> dict[str, dict[str, float]]:
+        """Return what a run cost in each stage, and how many ended a second."""
+        found: dict[str, dict[str, float]] = {}
+        for stage, spent in self._spent.items():
+            done = spent["runs"]
+            if 10 * done < self._options.runs // len(STAGES):
+                continue  # most ended while another Sweep was looked at
+            costs = {name: spent[name] / done for name in ("operator", "server", "cluster")}
+            found[stage] = {"runs": done, "rate": done / spent["seconds"]} | costs
+        return found
+
+    @property
+    def peers(self) -> dict[str, dict[str, Cost]]:
+        """Return the cost of loops before, between and after the turns of each stage."""
+        if not self._costs:
+            return {}
+        return {
+            stage: {
+                name: mean_cost([costs[name] for costs in self._costs[first : first + self._turns + 1]])
+                for name in self._costs[0]
+            }
+            for first, stage in zip(range(0, len(self._costs), self._turns), STAGES, strict=False)
+        }
 
     def _have_another(self, where: str) -> None:
         """Have another Sweep edited, suspended, resumed, cancelled and deleted beside the large one."""
@@ -123,17 +155,15 @@ class Course:
         began, cpu, own = self._clock.seconds, times.read(), self._process.cpu
         first = self._ended()
         last = self._until(lambda body: _ended(body) >= ended, f"{ended} runs")
-        done, used = _ended(last) - first, times.read() - cpu
-        if 10 * done < self._options.runs // 3:
-            print(f"{stage}: {done} runs ended meanwhile, too few for figures", flush=True)
-            return
-        self.parts[stage] = {
-            "runs": done,
-            "rate": done / (self._clock.seconds - began),
-            "operator": (self._process.cpu - own) / done,
-            "server": (used["kube-apiserver"] + used["etcd"]) / done,
-            "cluster": used.total() / done,
-        }
+        used = times.read() - cpu
+        for name, spent in (
+            ("runs", _ended(last) - first),
+            ("seconds", self._clock.seconds - began),
+            ("operator", self._process.cpu - own),
+            ("server", used["kube-apiserver"] + used["etcd"]),
+            ("cluster", used.total()),
+        ):
+            self._spent[stage][name] += spent
 
     def _ended(self) -> int:
         return _ended(self._sampler.sweep(SWEEP) or {})
@@ -184,18 +214,20 @@ class Course:
         self._access.patch("sweep", SWEEP, {"spec": {"suspend": True}}, where)
         self._until(lambda body: (body.get("status") or {}).get("running") == 0, "it to be suspended")
         began = time.monotonic()
-        self._beside("middle")
+        self._beside()
         self._clock.leave_out(time.monotonic() - began)
         self._access.patch("sweep", SWEEP, {"spec": {"suspend": False}}, where)
 
-    def _beside(self, stage: str) -> None:
+    def _beside(self) -> None:
         if self._loops is None:
             return
-        count, window = self._options.peers, self._options.window
-        self.peers[stage] = {
-            name: measured(self._access, count, time.process_time, partial(loop, count, window))
-            for name, loop in (("plain", self._loops.run_plain), ("copies", self._loops.run_copies))
-        }
+        count, window = max(1, self._options.peers // self._turns), self._options.window
+        self._costs.append(
+            {
+                name: measured(self._access, count, time.process_time, partial(loop, count, window))
+                for name, loop in (("plain", self._loops.run_plain), ("copies", self._loops.run_copies))
+            }
+        )
 
 
 def _ended(sweep: dict[str, Any]) -> int:
