@@ -116,7 +116,7 @@ class Course:
 
     @property
     def parts(self) -> dict[str, dict[str, float]]:
-        """Return what a run cost in each stage, and how many ended a second."""
+        """Return the cost of a run in each stage, and the number of those that ended a second."""
         found: dict[str, dict[str, float]] = {}
         for stage, spent in self._spent.items():
             done = spent["runs"]
