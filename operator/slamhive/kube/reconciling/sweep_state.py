@@ -197,18 +197,18 @@ async def remember(
         deletions=status.deleted or 0,
         search=search,
     )
+    there = bytearray(len(memory.states))  # 1 for each point of which there is an object or a record
     for run in live:
         # Another operator may remove them before the first look: what is noted here is missed then.
         if (index := point_of(run)) is not None and index < len(memory.states):
             memory.note(index, run)
-    there = bytearray(len(memory.states))
+            there[index] = 1
     if archive is not None:
-        there = await in_thread(_recall, sweep, archive, live, memory, cluster)
-    alive = {point_of(run) for run in live}
+        await in_thread(_recall, sweep, archive, live, memory, cluster, there=there)
     memory.lost = {
         index
         for index, state in enumerate(memory.states)
-        if state >= PointState.SUCCEEDED and not there[index] and index not in alive
+        if state >= PointState.SUCCEEDED and not there[index]
     }
     return_memory()
     return memory
@@ -223,9 +223,15 @@ def _tried(archive: Archive, uid: str) -> list[Trial]:
 
 
 def _recall(
-    sweep: Sweep, archive: Archive, live: list[Object], memory: SweepMemory, cluster: str | None
-) -> bytearray:
-    """Take from the archive what became of the runs whose objects are gone; returns 1 for each such point."""
+    sweep: Sweep,
+    archive: Archive,
+    live: list[Object],
+    memory: SweepMemory,
+    cluster: str | None,
+    *,
+    there: bytearray,
+) -> None:
+    """Take from the archive what became of the runs whose objects are gone, and note that they are there."""
     uid = sweep.metadata.uid or ""
     archive.put_sweep(
         SweepRecord(
@@ -241,7 +247,6 @@ def _recall(
     )
     present = {run["metadata"]["uid"]: run for run in live}
     points = {point_of(run) for run in live}
-    ended = bytearray(len(memory.states))
     without = set(present)
     for run, point in archive.finished(uid):
         if run in present:
@@ -257,13 +262,12 @@ def _recall(
             else:
                 succeeded = point.phase is Phase.SUCCEEDED
                 memory.states[point.index] = PointState.SUCCEEDED if succeeded else PointState.FAILED
-                ended[point.index] = 1
+                there[point.index] = 1
     if memory.search is not None:
-        gone = {index for index, has_ended in enumerate(ended) if has_ended}
+        gone = {index for index, is_there in enumerate(there) if is_there} - points
         records = archive.runs({"sweep_uid": uid})
         while some := [*islice(records, _READ_AT_ONCE)]:
             memory.search.note({one.index: one for one in some if one.index in gone})
     totals = archive.totals(uid, without)
     memory.archived.reused, memory.archived.evaluated = totals.reused, totals.evaluated
     memory.archived.cpu_seconds = totals.cpu_seconds
-    return ended
