@@ -154,6 +154,13 @@ def test_settings_without_a_column_are_counted_and_a_wide_table_says_how_to_narr
     assert " 6.5 " in narrow[1]
 
 
+def test_a_spread_is_explained_where_one_stands(records: Any, fill: Fill, slamhive: Slamhive) -> None:
+    home = fill([records.run(number, parameters={"knob": 0.5 + number}) for number in (0, 6)])
+    for rows in ("algorithm", "algorithm,knob"):
+        _, out, err = slamhive(home, "results", "table", "--rows", rows)
+        assert ("±" in out) == ("a ± b: mean and standard deviation" in err) == (rows == "algorithm")
+
+
 def test_settings_that_tell_rows_apart_all_have_a_column(
     records: Any, fill: Fill, slamhive: Slamhive
 ) -> None:

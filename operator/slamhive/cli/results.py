@@ -53,7 +53,7 @@ from slamhive.tables.text import (
 )
 from slamhive.tables.timeliness import DROPPED, FACTOR, LATENCIES, any_dropped, by_clock
 from slamhive.tables.uncollected import uncollected
-from slamhive.tables.words import disproportion_notes, meanings
+from slamhive.tables.words import disproportion_notes, meanings, spread_notes
 from slamhive_eval.formats.csv_writing import csv_blocks, write_csv
 
 if TYPE_CHECKING:
@@ -241,7 +241,8 @@ def show_table(
                 remark(f"{len(written[0])} columns: --rows NAME,… chooses among them; --format csv has all")
             shown = [*(one.column for one in metrics), "coverage"]
             said = meanings(frame, shown) if found.cells else []
-            for note in (*said, *found.notes, *disproportion_notes(frame)):
+            spread = spread_notes(found, [one.column for one in metrics])
+            for note in (*said, *spread, *found.notes, *disproportion_notes(frame)):
                 remark(note)
             _remark(chosen, found)
             if published:

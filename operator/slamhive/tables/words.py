@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from slamhive.analysis.frame import Frame
+    from slamhive.analysis.grouping import Aggregate
     from slamhive.model.results import Result
 
 MOST_A_METRE = MAX_LOCAL_SHARE
@@ -53,6 +54,13 @@ def meanings(frame: Frame, columns: Iterable[str]) -> list[str]:
             parts = _MeaningParts(frame, name.removeprefix(CAUSAL))
             told[named_final(name, title, shown)] = measure.meaning.format_map(parts)
     return ["; ".join(f"{short}: {text}" for short, text in told.items())] if told else []
+
+
+def spread_notes(found: Aggregate, columns: Iterable[str]) -> list[str]:
+    """Say what is before and behind the sign ± of a table, where one stands."""
+    figures = found.cells.columns.figures
+    spread = any((figures[name].summaries.n > 1).any() for name in columns)
+    return ["a ± b: mean and standard deviation (n − 1) of several runs"] if spread else []
 
 
 class _MeaningParts(dict[str, str]):
