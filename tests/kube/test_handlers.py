@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from aiohttp import web
 from aiohttp.test_utils import TestServer
+from anyio.from_thread import start_blocking_portal
 from kubernetes.aio.client import ApiClient, Configuration
 
 from slamhive.kube import handlers
@@ -22,7 +23,7 @@ from slamhive.kube.operator import Operator
 from slamhive.kube.settings import Settings
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable
+    from collections.abc import AsyncIterator, Callable, Iterator
 
 SETTINGS = Settings.model_validate(
     {
@@ -98,22 +99,30 @@ def server() -> Server:
     return Server()
 
 
-@contextlib.asynccontextmanager
-async def watching(server: Server) -> AsyncIterator[Operator]:
-    """Let kopf watch. It ends all tasks younger than itself, so this is no fixture."""
+@pytest.fixture
+def address(server: Server) -> Iterator[str]:
+    """Address of the server, which has a loop of its own: kopf ends younger tasks, even of who accepts."""
     application = web.Application()
     application.router.add_route("*", "/{path:.*}", server.handle)
-    async with TestServer(application) as listening:
-        configuration = Configuration(host=str(listening.make_url("")).rstrip("/"))
-        api = Api(ApiClient(configuration))
-        op = Operator(Cluster(api, SETTINGS), {})
-        task = asyncio.create_task(handlers.watch(op))
-        try:
-            yield op
-        finally:
-            task.cancel()
-            await asyncio.wait([task])
-            await api.close()
+    with (
+        start_blocking_portal() as portal,
+        portal.wrap_async_context_manager(TestServer(application)) as listening,
+    ):
+        yield str(listening.make_url("")).rstrip("/")
+
+
+@contextlib.asynccontextmanager
+async def watching(address: str) -> AsyncIterator[Operator]:
+    """Let kopf watch. It ends all tasks younger than itself, so this is no fixture."""
+    api = Api(ApiClient(Configuration(host=address)))
+    op = Operator(Cluster(api, SETTINGS), {})
+    task = asyncio.create_task(handlers.watch(op))
+    try:
+        yield op
+    finally:
+        task.cancel()
+        await asyncio.wait([task])
+        await api.close()
 
 
 async def eventually(condition: Callable[[], bool]) -> None:
@@ -124,7 +133,7 @@ async def eventually(condition: Callable[[], bool]) -> None:
 
 @pytest.mark.parametrize("kind", [Kind.SWEEP, Kind.MAPPING_RUN, Kind.JOB, Kind.POD])
 async def test_what_is_listed_and_watched_enters_the_store_even_when_watches_are_cut(
-    server: Server, kind: Kind
+    server: Server, address: str, kind: Kind
 ) -> None:
     path = kind.path("lab")
     server.listed[path] = [thing("listed", 5)]
@@ -133,7 +142,7 @@ async def test_what_is_listed_and_watched_enters_the_store_even_when_watches_are
         [{"type": "DELETED", "object": thing("listed", 12)}],
         [{"type": "ERROR", "object": {"kind": "Status", "code": 410}}],
     ]
-    async with watching(server) as op:
+    async with watching(address) as op:
         await eventually(lambda: names_of(op, kind) == {"added"})
         server.listed[path] = [thing("added", 11), thing("after", 20)]
         await eventually(lambda: names_of(op, kind) == {"added", "after"})
@@ -143,8 +152,8 @@ def names_of(op: Operator, kind: Kind) -> set[str]:
     return {obj["metadata"]["name"] for obj in op.cluster.store.of(kind, "lab")}
 
 
-async def test_only_our_pods_are_watched_and_nothing_is_written(server: Server) -> None:
-    async with watching(server):
+async def test_only_our_pods_are_watched_and_nothing_is_written(server: Server, address: str) -> None:
+    async with watching(address):
         await eventually(lambda: any(path == PODS and "watch" in query for _, path, query in server.asked))
     for method, path, query in server.asked:
         assert method == "GET"
@@ -155,7 +164,7 @@ async def test_only_our_pods_are_watched_and_nothing_is_written(server: Server) 
 
 
 async def test_nobody_is_killed_minutes_after_the_watching_ended(
-    server: Server, monkeypatch: pytest.MonkeyPatch
+    server: Server, address: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     loop, timers = asyncio.get_running_loop(), []
     call_later = loop.call_later
@@ -165,7 +174,7 @@ async def test_nobody_is_killed_minutes_after_the_watching_ended(
         return call_later(delay, callback, *args, **options)
 
     monkeypatch.setattr(loop, "call_later", noting)
-    async with watching(server):
+    async with watching(address):
         await eventually(lambda: any(path == PODS and "watch" in query for _, path, query in server.asked))
     assert timers, "kopf sets some"
     assert signal.pthread_kill not in timers
