@@ -88,7 +88,8 @@ def url(tmp_path: Path) -> str:
 def fill_assorted(folder: Path) -> str:
     """Make an archive with runs of every sort in a folder, and return its URL."""
     url = f"sqlite:///{folder / 'archive.sqlite'}"
-    spec = {"matrix": [{"path": "dataset", "values": [1]}]}
+    features = {"path": "parameters.nFeatures", "values": [500, 1000]}
+    spec = {"matrix": [{"path": "dataset", "values": [1]}, features]}
     with Archive.open(url) as archive:
         archive.put_sweep(SweepRecord(uid="s1", name="study", spec=spec))
         first = CatalogEntry(kind="Algorithm", name="algorithm-0", spec={"description": "the first"})

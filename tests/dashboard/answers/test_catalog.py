@@ -41,6 +41,7 @@ async def test_sweeps_count_runs_once(api: Any) -> None:
     (item,) = (await api.get("/sweeps"))["items"]
     assert (item["name"], item["runs"], item["phases"]) == ("study", 30, {"Succeeded": 29, "Failed": 1})
     assert item["started"] == "2026-01-02T03:04:00.250000+00:00"
+    assert item["axes"] == [{"name": "dataset", "count": 1}, {"name": "nFeatures", "count": 2}]
     one = await api.get("/sweeps/study")
     assert "kind: Sweep" in one["manifest"]
     assert "did you mean 'study'" in (await api.get("/sweeps/studdy", 404))["error"]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.grouping import where_equal
+from slamhive.analysis.metrics import title_of
 from slamhive.dashboard.answering.encoding import Body
 from slamhive.dashboard.answers.catalog import MAX_NAMES, chosen, current, names, single, sweep_names, tally
 from slamhive.dashboard.problems import BadRequest, Missing
@@ -160,15 +161,15 @@ def _end(frame: Frame, name: str, choose: Any) -> str | None:
 
 
 def _axes(spec: Mapping[str, Any]) -> list[dict[str, Any]]:
-    axes = spec.get("matrix")
-    if not isinstance(axes, list):
-        return []
+    matrix = spec.get("matrix")
+    axes = [axis for axis in matrix if isinstance(axis, dict)] if isinstance(matrix, list) else []
+    paths = [axis["path"] for axis in axes if axis.get("path")]
     shown = []
     for axis in axes:
-        if isinstance(axis, dict):
-            values = axis.get("values") or axis.get("points")
-            count = len(values) if isinstance(values, list | dict) else (axis.get("range") or {}).get("count")
-            shown.append({"name": axis.get("name") or axis.get("path"), "count": count})
+        values = axis.get("values") or axis.get("points")
+        count = len(values) if isinstance(values, list | dict) else (axis.get("range") or {}).get("count")
+        path = axis.get("path")
+        shown.append({"name": axis.get("name") or (path and title_of(path, "", paths)), "count": count})
     return shown
 
 
