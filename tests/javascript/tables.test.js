@@ -18,6 +18,7 @@ import {
   questions,
   quoted,
 } from '../../operator/slamhive/dashboard/static/core/questions.js';
+import { pointsOf } from '../../operator/slamhive/dashboard/static/core/sitetable.js';
 import { suspectOf } from '../../operator/slamhive/dashboard/static/core/suspects.js';
 import { settingsOf } from '../../operator/slamhive/dashboard/static/pages/explore.js';
 import { failureText, groupTable, onPhone } from '../../operator/slamhive/dashboard/static/pages/groups.js';
@@ -431,4 +432,28 @@ test('what runs cost is told by cores where the clock set the pace alone', () =>
   for (const other of ['Lockstep', 'Stepped']) assert.equal(cpuColumn([pace(other), seconds]), seconds.name);
   assert.equal(cpuColumn([pace('Realtime'), seconds]), 'usage.cpu.meanCores');
   assert.equal(cpuColumn([]), 'usage.cpu.meanCores');
+});
+
+test('a site says that readers are mixed where CPU is drawn, by runs that succeeded', async () => {
+  const cpu = 'usage.cpu.seconds';
+  const stored = {
+    'usage.includesReader': [true, true, false],
+    phase: ['Succeeded', 'Succeeded', 'Failed'],
+    'ate.rmse': [0.1, 0.2, null],
+    [cpu]: [1, 2, 3],
+    ...Object.fromEntries(['status', 'id', 'uid', 'run'].map((name) => [name, ['a', 'b', 'c']])),
+  };
+  const drawn = async (y, phase) => {
+    const columns = Object.fromEntries(
+      Object.entries({ ...stored, phase }).map(([name, values]) => [name, { name, blocks: [{ values }] }]),
+    );
+    const mixed = [{ column: 'usage.includesReader', owner: null }];
+    const table = { rows: 3, columns, notes: [], mixed, conditions: {} };
+    const points = await pointsOf(table, new Query().with({ x: 'id', y }), assert.fail);
+    return points.mixed.map((one) => one.column);
+  };
+  const succeeded = Array(3).fill('Succeeded');
+  assert.deepEqual(await drawn(cpu, succeeded), ['usage.includesReader']);
+  assert.deepEqual(await drawn(cpu, stored.phase), []);
+  assert.deepEqual(await drawn('ate.rmse', succeeded), []);
 });
