@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -15,9 +16,13 @@ import pytest
 from slamhive.analysis import Selection, choose
 from slamhive.local.running import workbench
 from slamhive.local.running.attempt import Attempt
+from slamhive.local.running.runner import _LOOK_SECONDS, Job, Runner, RunStep
 from slamhive.model.dataset import GroundTruth
 from slamhive.model.results import Machine, Phase
+from slamhive.plan import Plan, local_uid
 from slamhive.tables.reading import read_archive
+
+from .sweeps import Notes, sweep_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,6 +45,31 @@ def test_rerun_repeats_all(run_acts: Callable) -> None:
     run_acts(["good", "crash"])
     _, notes = run_acts(["good", "crash"], rerun=True)
     assert len(notes.records) == 2
+
+
+def test_an_interruption_does_not_wait_for_a_run_when_it_comes_as_the_runner_would_look_up(
+    bench: Workbench,
+) -> None:
+    class Interrupting(Notes):
+        def step(self, job: Job, index: int, step: RunStep) -> None:
+            if step is RunStep.RUNNING:
+                os.kill(os.getpid(), signal.SIGUSR1)
+
+    notes = Interrupting()
+    runner = Runner(bench, notes, parallelism=1)
+
+    def interrupt(*_: object) -> None:
+        runner.interrupt()
+        # What the runner waits for until it looks up is over when this returns.
+        threading.Event().wait(2 * _LOOK_SECONDS)
+
+    before = signal.signal(signal.SIGUSR1, interrupt)
+    sweep = sweep_of(["noted"], template={"parameters": {"number": 60_000}})
+    try:
+        assert runner.run([Job(sweep, local_uid(sweep), Plan(sweep, bench.workshop))])
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+    assert notes.records == []
 
 
 def test_another_sweep_reuses_equal_runs_but_not_failed_ones(run_acts: Callable) -> None:

@@ -208,7 +208,8 @@ class Runner:
         self._parallelism = parallelism or self._cores.size
         self._drivers: dict[tuple[str, int], RunDriver] = {}
         self._threads: list[threading.Thread] = []
-        self._events: queue.SimpleQueue[_PointEnd] = queue.SimpleQueue()
+        # No SimpleQueue: where a signal comes shortly before its time is over, it waits for ever.
+        self._events: queue.Queue[_PointEnd] = queue.Queue()
         self._lock = threading.Lock()
         self._interrupted = False
         self._stopped: set[str] = set()
