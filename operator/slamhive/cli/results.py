@@ -241,8 +241,7 @@ def show_table(
                 remark(f"{len(written[0])} columns: --rows NAME,… chooses among them; --format csv has all")
             shown = [*(one.column for one in metrics), "coverage"]
             said = meanings(frame, shown) if found.cells else []
-            spread = spread_notes(found, [one.column for one in metrics])
-            for note in (*said, *spread, *found.notes, *disproportion_notes(frame)):
+            for note in (*said, *spread_notes(found), *found.notes, *disproportion_notes(frame)):
                 remark(note)
             _remark(chosen, found)
             if published:

@@ -56,10 +56,9 @@ def meanings(frame: Frame, columns: Iterable[str]) -> list[str]:
     return ["; ".join(f"{short}: {text}" for short, text in told.items())] if told else []
 
 
-def spread_notes(found: Aggregate, columns: Iterable[str]) -> list[str]:
+def spread_notes(found: Aggregate) -> list[str]:
     """Say what is before and behind the sign ± of a table, where one stands."""
-    figures = found.cells.columns.figures
-    spread = any((figures[name].summaries.n > 1).any() for name in columns)
+    spread = any((one.summaries.n > 1).any() for one in found.cells.columns.figures.values())
     return ["a ± b: mean and standard deviation (n − 1) of several runs"] if spread else []
 
 

@@ -163,13 +163,12 @@ def _end(frame: Frame, name: str, choose: Any) -> str | None:
 def _axes(spec: Mapping[str, Any]) -> list[dict[str, Any]]:
     matrix = spec.get("matrix")
     axes = [axis for axis in matrix if isinstance(axis, dict)] if isinstance(matrix, list) else []
-    paths = [axis["path"] for axis in axes if axis.get("path")]
+    paths = [axis.get("path") or "" for axis in axes]
     shown = []
-    for axis in axes:
+    for axis, path in zip(axes, paths, strict=True):
         values = axis.get("values") or axis.get("points")
         count = len(values) if isinstance(values, list | dict) else (axis.get("range") or {}).get("count")
-        path = axis.get("path")
-        shown.append({"name": axis.get("name") or (path and title_of(path, "", paths)), "count": count})
+        shown.append({"name": axis.get("name") or title_of(path, "", paths) or None, "count": count})
     return shown
 
 
