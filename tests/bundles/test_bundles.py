@@ -51,6 +51,12 @@ def records(home: Path) -> dict[str, Any]:
         return {record.uid: record for record in archive.runs()}
 
 
+def copied(studied: Path, folder: Path) -> Path:
+    """Return a copy of the home, without what SQLite has beside the archive while another test reads it."""
+    ignored = shutil.ignore_patterns("archive.sqlite-*")
+    return Path(shutil.copytree(studied, folder / "home", symlinks=True, ignore=ignored))
+
+
 def test_a_study_bundled_twice_gives_the_same_bytes(
     studied: Path, study: Path, tmp_path: Path, run_command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -81,8 +87,7 @@ def test_a_study_bundled_twice_gives_the_same_bytes(
 def test_a_dataset_that_stood_beside_its_sweep_is_the_archives(
     studied: Path, study: Path, tmp_path: Path, run_command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    home = tmp_path / "home"
-    shutil.copytree(studied, home, symlinks=True)
+    home = copied(studied, tmp_path)
     (home / "datasets").unlink()
     (home / "datasets").mkdir()
     for made in (studied / "datasets").glob("tiny-*"):
@@ -129,8 +134,7 @@ def test_a_dataset_with_files_beside_its_sweep_is_found_by_that_file(
 def test_a_study_stays_its_own_beside_the_same_program_of_somebody_else(
     studied: Path, study: Path, tmp_path: Path, run_command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    home = tmp_path / "home"
-    shutil.copytree(studied, home, symlinks=True)
+    home = copied(studied, tmp_path)
     monkeypatch.setenv("SLAMHIVE_HOME", str(home))
     code, _, err = run_command("import", study, "--label", "lab")
     assert code == 0, err
