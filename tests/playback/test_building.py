@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -21,8 +23,9 @@ from slamhive.monitor.playing import played_mean_cores
 from slamhive.playback.building import play_request
 from slamhive.playback.judging import judge
 from slamhive.playback.outcome import Played, read_report
+from slamhive.playback.player.session import Session
 from slamhive.playback.pod import player_pod
-from slamhive.playback.protocol import PlayRequest
+from slamhive.playback.protocol import PlayError, PlayRequest
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -189,6 +192,33 @@ def test_no_report(tmp_path: Path) -> None:
     assert read_report(tmp_path) is None
     (tmp_path / "playback.json").symlink_to("/dev/zero")
     assert read_report(tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    ("told_to_go", "played"),
+    [(True, Played(False)), (False, Played(False, "SystemFault", "rosbag play has ended"))],
+)
+def test_a_bag_that_ends_as_the_player_is_told_to_go_has_not_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told_to_go: bool, played: Played
+) -> None:
+    """All of a container is told to end at once: the bag may be gone before the player looks again."""
+    told: list[bool] = []
+
+    def obstacle() -> None:
+        told.append(told_to_go)
+        raise PlayError("rosbag play has ended")
+
+    wire = SimpleNamespace(variables={}, check=lambda: None, obstacle=obstacle, end=lambda: None)
+    monkeypatch.setattr(Session, "_connect", lambda _: wire)
+    found = request(spec(), configuration())
+    assert found is not None
+    places: dict[str, Any] = {
+        "recording": __file__,
+        "output": str(tmp_path),
+        "folder": str(tmp_path / "player"),
+    }
+    assert Session(replace(found, **places), lambda: any(told)).run() == (not told_to_go)
+    assert read_report(tmp_path) == played
 
 
 CRASH = AttemptEnd(signal=11, reason=Reason.ALGORITHM_FAILED, message="segmentation fault")

@@ -54,9 +54,11 @@ class Session:
         try:
             self._play()
         except PlayError as error:
-            status = 1
-            self._tell("Failed", reason=error.reason, message=str(error))
             sys.stderr.write(f"{error}\n")
+            # Whoever tells a container to end tells us and what we started, which may be gone before we look.
+            if self._wire is None or not self._stopped():
+                status = 1
+                self._tell("Failed", reason=error.reason, message=str(error))
         finally:
             self._write()
             self._end()
