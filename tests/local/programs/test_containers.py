@@ -358,6 +358,7 @@ def docker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, podman: Engine) -> N
     """A docker with a daemon, as far as its commands go: they are podman's.
 
     The first question for a container fails, as podman's does where the container ends while it looks.
+    There is an /slamhive/output/known once its supervisor has found its first process.
     """
     folder = tmp_path / "bin"
     folder.mkdir()
@@ -366,6 +367,12 @@ def docker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, podman: Engine) -> N
     program.write_text(f"""#!/bin/sh
 [ "$1" = info ] && echo '{told}' && exit
 [ "$1" = inspect ] && mkdir {folder}/asked 2>/dev/null && echo "no such process" >&2 && exit 125
+if [ "$1" = start ]; then
+    while kill -0 $$; do
+        grep -q '"algorithm": {{' process.json && touch run/output/known && break
+        sleep 0.05
+    done >/dev/null 2>&1 &
+fi
 exec podman "$@"
 """)
     program.chmod(0o755)
@@ -377,7 +384,9 @@ exec podman "$@"
 def test_docker_is_told_nothing_that_it_does_not_know(boxes: Boxes) -> None:
     boxes.choice = ContainerChoice.DOCKER
     good, bad, wrong = boxes(
-        shell(f"{POSES}sleep 0.5"), shell("exit 3"), {"image": SHELL, "command": ["/no"]}
+        shell(f"{POSES}until [ -e /slamhive/output/known ]; do sleep 0.05; done"),
+        shell("exit 3"),
+        {"image": SHELL, "command": ["/no"]},
     )
     assert good.phase is Phase.SUCCEEDED, good.message
     assert good.usage is not None
