@@ -38,11 +38,12 @@ def test_an_edit_is_shown_before_its_runs_and_compared_after_them(system: Any, h
     edit(home)
     code, out, err = system("plan", sweep, "--head", "1")
     assert "s: 4 runs of actor are stale: adapter.py changed since " in out
-    code, out, err = system("run", sweep)
+    # One at a time, so that they end in the order in which they begin.
+    code, out, err = system("run", sweep, "-j", "1")
     assert code == 0, err
     assert "s: 4 runs of actor are stale: adapter.py changed since " in err
     ends = [line for line in err.splitlines() if line.startswith(("1/4 ", "2/4 ", "3/4 ", "4/4 "))]
-    assert {line[4:28] for line in ends[:2]} == {"number 1, repetition 0: ", "number 2, repetition 0: "}
+    assert [line[4:28] for line in ends[:2]] == ["number 1, repetition 0: ", "number 2, repetition 0: "]
     assert all("actor" not in line and "tiny" not in line for line in ends)
     assert "(as before)" in ends[0]
     assert "Before and after: actor " in out
