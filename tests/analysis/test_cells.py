@@ -49,9 +49,9 @@ def material(groups: list[list[tuple[float, bool, bool, int]]]) -> tuple[Any, ..
     shuffled = np.random.default_rng(0).permutation(len(rows))
     of_row = np.array([row[0] for row in rows])[shuffled]
     order = np.argsort(of_row, kind="stable")
-    bounds = np.searchsorted(of_row[order], np.arange(len(groups) + 1))
+    sizes = np.array([len(mine) for mine in groups])
     columns = [np.array([row[place] for row in rows])[shuffled] for place in (1, 2, 3, 4)]
-    return Places(order, bounds), of_row, *columns
+    return Places(sizes, order), of_row, *columns
 
 
 @given(GROUPS)

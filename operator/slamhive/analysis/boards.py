@@ -12,6 +12,7 @@ import numpy as np
 
 from slamhive.analysis.cells import Places
 from slamhive.analysis.grouping import (
+    FIRST_THEN_ALL,
     LOAD,
     PROCESSOR,
     SUBJECT,
@@ -22,6 +23,7 @@ from slamhive.analysis.grouping import (
     copy_notes,
     counting,
     covered,
+    differing,
     direction_notes,
     disturbance_notes,
     idle_notes,
@@ -98,7 +100,7 @@ class Grid:
     Attributes:
         metric: what is compared.
         facets: the values that all runs share, of columns that vary between grids.
-        frame: the runs.
+        frame: the runs, place by place.
         competitors: what each is, by column, (c,).
         datasets: names, (d,).
         places: the rows of the runs of a competitor on a dataset, where it has any.
@@ -224,22 +226,22 @@ def prepare(
     metric = metrics[0]
     numbers = np.where(sound(frame, metric, outcomes), frame.column(metric).floats(), np.nan)
     counted = counting(frame, outcomes)
-    once = ~Copies(frame, outcomes).among(Groups(frame, [*facets, *by, "dataset"]).of_row)
+    cells = Groups(frame, [*facets, *by, "dataset"])
+    once = ~Copies(frame, outcomes).among(cells.of_row)
     coverage = np.where(once, covered(frame), np.nan)
     if follows_trajectory(metric):
         notes += copy_notes(int((counted & ~once).sum()), metrics)
     else:
         once[:] = True
     marks = numbers, counted, worst(frame, metric, outcomes), once, coverage
-    groups = Groups(frame, facets)
     told = [name for name in by if name not in facets]
+    # What follows from the columns that tell cells apart is asked of one row of each.
+    examples = frame.select(cells.firsts)
+    groups = Groups(examples, facets)
     grids = []
-    for rows, shared in zip(groups.members(), groups.keys, strict=True):
-        inside = frame.select(rows)
-        parts = _comparable(inside, told)
-        for part in parts:
-            mine, of_part = (rows, inside) if len(parts) == 1 else (rows[part], inside.select(part))
-            grids.append(_grid(of_part, shared, metric, told, [of_row[mine] for of_row in marks]))
+    for inside, shared in zip(groups.members(), groups.keys, strict=True):
+        parts = _comparable(examples.select(inside), told)
+        grids += [_grid(cells, inside[part], shared, metric=metric, by=told, marks=marks) for part in parts]
     grids.sort(key=lambda grid: -len(grid.frame))
     return PreparedGrids(grids, *_pooled(frame, pooled), tuple(notes))
 
@@ -255,12 +257,16 @@ def _pooled(frame: Frame, names: Sequence[str]) -> tuple[dict[str, int], dict[st
     counts: dict[str, int] = {}
     whose: dict[str, tuple[str, ...]] = {}
     for name in names:
-        of_value, values = frame.column(name).factorized()
-        varied = np.bincount(codes[of_value != of_value[example]], minlength=len(algorithms)) > 0
-        known = sum(value is not None for value in values)
-        if not varied.all():
-            known = int(np.count_nonzero(np.bincount(of_value[varied[codes]], minlength=known)[:known]))
+        column = frame.column(name)
+        for rows in FIRST_THEN_ALL:
+            whose_differ = codes[rows][differing(column, example, rows)]
+            varied = np.bincount(whose_differ, minlength=len(algorithms)) > 0
+            if varied.all():
+                break
+        else:
+            column = column.take(varied[codes])
             whose[name] = tuple(sorted(str(algorithms[code]) for code in np.flatnonzero(varied)))
+        known = column.distinct()
         # Having none is a value beside a single other one.
         counts[name] = max(2, known)
     seen: Counter[tuple[str, ...]] = Counter()
@@ -289,13 +295,31 @@ def _comparable(frame: Frame, by: Sequence[str]) -> list[Mask]:
     return parts
 
 
-def _grid(frame: Frame, facets: dict[str, Any], metric: str, by: Sequence[str], marks: Sequence[Any]) -> Grid:
-    competitors, datasets = Groups(frame, by), Groups(frame, ("dataset",))
-    both = Groups(frame, (*by, "dataset"))
-    firsts = both.firsts
-    at = np.stack([competitors.of_row[firsts], datasets.of_row[firsts]], axis=1)
-    names = [key["dataset"] for key in datasets.keys]
-    return Grid(metric, facets, frame, competitors.keys, names, Places(both.order, both.bounds), at, *marks)
+def _grid(
+    cells: Groups,
+    mine: Indices,
+    facets: dict[str, Any],
+    *,
+    metric: str,
+    by: Sequence[str],
+    marks: Sequence[Any],
+) -> Grid:
+    """Return the grid of some cells, (c,): the rows of a competitor on a dataset each."""
+    examples = cells.frame.select(cells.firsts[mine])
+    competitors, datasets = Groups(examples, by), Groups(examples, ("dataset",))
+    chosen: Mask = np.zeros(cells.count, dtype=bool)
+    chosen[mine] = True
+    rows = cells.order[np.repeat(chosen, cells.sizes)]
+    return Grid(
+        metric,
+        facets,
+        cells.frame.select(rows),
+        competitors.keys,
+        [key["dataset"] for key in datasets.keys],
+        Places(cells.sizes[mine]),
+        np.stack([competitors.of_row, datasets.of_row], axis=1),
+        *(of_row[rows] for of_row in marks),
+    )
 
 
 def scaled_ranks(medians: Floats) -> Floats:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
+from slamhive.analysis.columns import counted
 from slamhive.analysis.statistics import ENOUGH, Interval, Numbers, Summary, mean_interval, median_interval
 
 if TYPE_CHECKING:
@@ -107,14 +108,15 @@ class Places:
     """The rows of groups, one group after the other.
 
     Args:
-        order: the rows, (n,).
-        bounds: where each group begins among them, and the end of the last, (groups + 1,).
+        sizes: how many rows each group has, (groups,).
+        order: the rows, (n,); those of the frame as they are unless given.
     """
 
-    def __init__(self, order: Indices, bounds: Indices) -> None:
+    def __init__(self, sizes: Indices, order: Indices | slice = slice(None)) -> None:
         self.order = order
-        self.count = len(bounds) - 1
-        self.of_row: Indices = np.repeat(np.arange(self.count), np.diff(bounds))
+        self.sizes = sizes
+        self.count = len(sizes)
+        self.of_row: Indices = np.repeat(np.arange(self.count), sizes)
         """The group of each row, in their order, (n,)."""
 
     def numbers(self, values: Floats, inside: Mask) -> Numbers:
@@ -137,12 +139,12 @@ class Places:
 
         Args:
             words: what codes stand for.
-            codes: the word of each row of the frame, (n,).
+            codes: the word of each row of the frame.
             inside: which of these rows count.
         """
         kept = inside[self.order]
         cells = self.of_row[kept] * len(words) + codes[self.order][kept]
-        used, counts = np.unique(cells, return_counts=True)
+        used, counts = counted(cells, self.count * len(words))
         found: dict[int, dict[str, int]] = {}
         ranked = sorted(
             zip(used.tolist(), counts.tolist(), strict=True), key=lambda one: words[one[0] % len(words)]

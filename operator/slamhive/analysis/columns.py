@@ -35,6 +35,8 @@ _PLAIN = {int, float, type(None)}
 _FEW_WORDS = 8
 _FEW = 127
 """Different values up to which codes have a byte."""
+_FIRST = 4096
+"""Rows that are looked at before all are."""
 _MANY = 256
 """Values from which on it is worth the while to look how few are different, or to hold texts as one array."""
 
@@ -294,7 +296,13 @@ class Column:
             verdicts[-1] = None in words
         else:
             verdicts = np.array([value in words for value in (*values, None)], dtype=bool)
-        found: Mask = verdicts[self._codes]
+        wanted_codes = np.flatnonzero(verdicts)
+        if len(wanted_codes) > _FEW_WORDS:
+            found: Mask = verdicts[self._codes]
+            return found
+        found = np.zeros(len(self), dtype=bool)
+        for code in wanted_codes.tolist():
+            found |= self._codes == (code if code < len(values) else -1)
         return found
 
     def packed(self) -> Column:
@@ -368,22 +376,35 @@ class Column:
         return numbers
 
     def factorized(self) -> tuple[Integers, list[Any]]:
-        """Return (codes, values): values in their order, each used, None last where one is missing."""
+        """Return (codes, values): the place of each row's among the values as ``unique`` has them, (n,)."""
         if not self.is_coded:
-            uniques, codes = np.unique(self._numbers, return_inverse=True)
-            values = [None if value != value else self.plain(value) for value in uniques.tolist()]  # noqa: PLR0124
-            return codes.astype(np.int32), values
+            uniques, places = np.unique(self._numbers, return_inverse=True)
+            return places.astype(np.int32), self._plain(uniques)
+        used, values = self._used()
+        if used == [*range(len(values))]:
+            return self._codes.astype(np.int32), values
+        ranks = np.empty(len(self.values) + 1, dtype=np.int32)
+        ranks[used] = np.arange(len(used), dtype=np.int32)
+        ranks[-1] = len(used)  # what is missing comes last
+        return ranks[self._codes], values
+
+    def unique(self) -> list[Any]:
+        """Return the values in their order, each used, None last where one is missing."""
+        return self._used()[1] if self.is_coded else self._plain(np.unique(self._numbers))
+
+    def _plain(self, numbers: Floats) -> list[Any]:
+        return [None if number != number else self.plain(number) for number in numbers.tolist()]  # noqa: PLR0124
+
+    def _used(self) -> tuple[list[int], list[Any]]:
+        """Return the places in ``values`` that rows hold, in the order of what is there, and that."""
         occurs = self._occurring()
         used = np.flatnonzero(occurs[:-1]).tolist()
         if self.kind.is_numeric:
-            values = [self.plain(float(self.values[code])) for code in used]
+            values = self._plain(self.values[used])
         else:
             used.sort(key=lambda code: sort_key(self.values[code]))
             values = [self.values[code] for code in used]
-        ranks = np.empty(len(occurs), dtype=np.int32)
-        ranks[used] = np.arange(len(used), dtype=np.int32)
-        ranks[-1] = len(used)  # what is missing comes last
-        return ranks[self._codes], [*values, *([None] if occurs[-1] else [])]
+        return used, [*values, *([None] if occurs[-1] else [])]
 
     def distinct(self) -> int:
         """Return the number of different values, a missing one not counted."""
@@ -393,12 +414,9 @@ class Column:
 
     def _occurring(self) -> Mask:
         """Tell which places in ``values`` rows hold, and last whether any holds none, (values + 1,)."""
-        occurs = self._occurs
-        if occurs is None:
-            occurs = np.zeros(len(self.values) + 1, dtype=bool)
-            occurs[self._codes] = True
-            self._occurs = occurs  # whole by now, for whichever thread asks next
-        return occurs
+        if self._occurs is None:
+            self._occurs = _occurring(self._codes, len(self.values))  # whole, for whichever thread asks next
+        return self._occurs
 
     def counted(self) -> tuple[Floats, Indices]:
         """Return the different numbers of a numeric column, in their order, and how many rows have each."""
@@ -461,6 +479,17 @@ def times(values: Sequence[Any]) -> Column:
     return Column(ColumnKind.TIME, numbers, _NO_CODES)
 
 
+def _occurring(numbers: npt.NDArray[np.integer[Any]], bound: int) -> Mask:
+    """Tell which numbers below a bound occur, and last whether -1 does, (bound + 1,)."""
+    occurs = np.zeros(bound + 1, dtype=bool)
+    occurs[numbers[:_FIRST]] = True
+    if occurs[:-1].all():  # of few numbers all occur early
+        occurs[-1] = bool((numbers < 0).any())
+    else:
+        occurs[numbers] = True
+    return occurs
+
+
 def renumbered(
     numbers: npt.NDArray[np.integer[Any]], bound: int
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
@@ -475,8 +504,7 @@ def renumbered(
     if bound > 4 * len(numbers) + 1024:
         used, places = np.unique(numbers, return_inverse=True)
         return used.astype(np.int64), places.astype(np.int64)
-    occurs = np.zeros(bound + 1, dtype=bool)
-    occurs[numbers] = True  # the last one is that of what is missing
+    occurs = _occurring(numbers, bound)
     if occurs[:-1].all() and not occurs[-1]:
         return np.arange(bound), numbers.astype(np.int64, copy=False)
     used = np.flatnonzero(occurs[:-1])
@@ -484,6 +512,20 @@ def renumbered(
     if occurs[-1]:
         used, ranks = np.concatenate([[-1], used]), np.append(ranks + 1, 0)
     return used, ranks[numbers]
+
+
+def counted(numbers: npt.NDArray[np.integer[Any]], bound: int) -> tuple[Indices, Indices]:
+    """Return the numbers that occur, sorted, and how often each does; sorted themselves where few of many do.
+
+    Args:
+        numbers: whole numbers from 0, (n,).
+        bound: above all of them.
+    """
+    if bound > 4 * len(numbers) + 1024:
+        return np.unique(numbers, return_counts=True)
+    counts = np.bincount(numbers, minlength=bound)
+    used = np.flatnonzero(counts)
+    return used, counts[used]
 
 
 def count_distinct(numbers: npt.NDArray[Any]) -> int:

@@ -134,7 +134,7 @@ def _sides(frame: Frame, changed: str, name: str, version: str) -> tuple[Mask, M
 
 
 def _names(frame: Frame, column: str) -> list[str]:
-    return [str(value) for value in frame.column(column).factorized()[1] if value is not None]
+    return [str(value) for value in frame.column(column).unique() if value is not None]
 
 
 def _edit(changed: str, name: str, changes: Sequence[tuple[Change, bool]], sides: Sequence[Frame]) -> Edit:

@@ -121,7 +121,12 @@ FAILED_OF_ITSELF = frozenset(
 )
 """Reasons that are the algorithm's own. What the machine or the user ended says nothing of it."""
 
+FIRST_THEN_ALL = (slice(4096), slice(None))
+"""Rows in which most of what differs at all does so already, and all rows."""
+
 _MOST_NAMES = 6
+_SHORT = 1 << 31
+"""Above all numbers of 32 bits."""
 _MOST_COMBINED = 1 << 16
 """Combinations of values up to which it isn't looked for those that occur before the last column."""
 
@@ -170,7 +175,7 @@ class Groups:
     def __init__(self, frame: Frame, names: Sequence[str]) -> None:
         self.frame = frame
         self.names = tuple(names)
-        combined: npt.NDArray[np.int64] = np.zeros(len(frame), dtype=np.int64)
+        combined: npt.NDArray[Any] = np.zeros(len(frame), dtype=np.int32)
         count = bound = 1
         for name in names:
             codes, values = frame.column(name).factorized()
@@ -178,7 +183,10 @@ class Groups:
                 if bound * len(values) > _MOST_COMBINED:
                     used, combined = renumbered(combined, bound)
                     bound = len(used)
-                combined, bound = combined * len(values) + codes, bound * len(values)
+                bound *= len(values)
+                # Half as long while they can be: most of the time goes into memory.
+                combined = combined.astype(np.int32 if bound < _SHORT else np.int64, copy=False)
+                combined = combined * len(values) + codes if bound > len(values) else codes
         if bound > 1:
             used, combined = renumbered(combined, bound)
             count = len(used)
@@ -193,9 +201,14 @@ class Groups:
         return np.argsort(short, kind="stable")
 
     @cached_property
+    def sizes(self) -> Indices:
+        """The number of rows of each group, (groups,)."""
+        return np.bincount(self.of_row, minlength=self.count)
+
+    @cached_property
     def bounds(self) -> Indices:
         """The place in the order where each group begins, and the end of the last, (groups + 1,)."""
-        return np.concatenate([[0], np.cumsum(np.bincount(self.of_row, minlength=self.count))])
+        return np.concatenate([[0], np.cumsum(self.sizes)])
 
     @cached_property
     def keys(self) -> list[dict[str, Any]]:
@@ -268,8 +281,15 @@ def idle_notes(frame: Frame, pooled: Sequence[str]) -> list[str]:
     if not pooled or tracks.kind.is_numeric:
         return []
     groups = Groups(frame, SUBJECT)
+    # Without a trajectory none is equal.
+    first = np.maximum(tracks.codes[groups.firsts], 0)
+    for part in FIRST_THEN_ALL:
+        of_row = groups.of_row[part]
+        unlike = of_row[tracks.codes[part] != first[of_row]]
+        equal = np.bincount(unlike, minlength=groups.count) == 0
+        if not equal.any():
+            return []
     members = list(zip(groups.keys, groups.members(), strict=True))
-    equal = [bool((tracks.codes[rows] == max(tracks.codes[rows[0]], 0)).all()) for _, rows in members]
     able = {key["algorithm"] for (key, _), same in zip(members, equal, strict=True) if same} - {None}
     idle: set[tuple[Any, str]] = set()
     moved: set[tuple[Any, str]] = set()
@@ -395,7 +415,7 @@ def origin_notes(frame: Frame) -> list[str]:
     groups = Groups(foreign, ("algorithm", "origin.source"))
     for keys, rows in zip(groups.keys, groups.members(), strict=True):
         mine = foreign.select(rows)
-        words = mine.column(ORIGIN).factorized()[1]
+        words = mine.column(ORIGIN).unique()
         runs = plural(mine.count_runs(), "run")
         word = " and ".join(sorted({str(one).partition(" (")[0] for one in words}))
         told.append(f"{keys['algorithm']}: {word} ({runs} from {keys['origin.source']})")
@@ -619,11 +639,7 @@ def apart(frame: Frame, asked: Iterable[str], metrics: Iterable[str]) -> tuple[F
 
 
 def _differ(frame: Frame, name: str) -> bool:
-    column = frame.column(name)
-    if name == "evaluation":
-        return varies(frame, name)
-    known = column.numbers[column.present] if column.kind.is_numeric else column.codes[column.codes >= 0]
-    return len(known) > 0 and bool((known != known[0]).any())
+    return varies(frame, name) if name == "evaluation" else frame.column(name).distinct() > 1
 
 
 def follows(frame: Frame, name: str, owner: str) -> bool:
@@ -684,17 +700,27 @@ def varies(frame: Frame, name: str) -> bool:
 
 
 def _differs(column: Column, example: Indices) -> bool:
-    held = column.held
-    if column.is_coded:
-        return bool((held != held[0]).any()) and bool((held != held[example]).any())
-    other = column.numbers[example]
-    same = (column.numbers == other) | (np.isnan(column.numbers) & np.isnan(other))
-    return not same.all()
+    if column.is_coded and not (column.held != column.held[0]).any():
+        return False
+    return any(differing(column, example, rows).any() for rows in FIRST_THEN_ALL)
+
+
+def differing(column: Column, example: Indices, rows: slice) -> Mask:
+    """Tell which of some rows have another value than an example of each, (rows,).
+
+    Args:
+        column: of all rows.
+        example: the place of the row that each is compared with, (n,).
+        rows: those that are asked about.
+    """
+    mine, other = column.held[rows], column.held[example[rows]]
+    unlike: Mask = mine != other
+    return unlike if column.is_coded else unlike & ~(np.isnan(mine) & np.isnan(other))
 
 
 def _cells(groups: Groups, metrics: Sequence[str], outcomes: Outcomes) -> Cells:
     """Return the cell of each group: its runs, failures and figures."""
-    frame, places = groups.frame, Places(groups.order, groups.bounds)
+    frame, places = groups.frame, Places(groups.sizes, groups.order)
     status = frame.column("status")
     codes = status.codes.astype(np.intp)
     counted = counting(frame, outcomes)
@@ -706,7 +732,7 @@ def _cells(groups: Groups, metrics: Sequence[str], outcomes: Outcomes) -> Cells:
     columns = CellColumns(
         frame.select(groups.firsts),
         groups.names,
-        places.counts(np.ones(len(frame), dtype=bool)),
+        places.sizes,
         places.counts(results),
         places.counts(counted & ~results),
         places.tallies(status.values, codes, ~counted),

@@ -268,7 +268,7 @@ def _standings(grid: Grid, ranks: Floats) -> Iterator[tuple[int, Standing]]:
     places = grid.places
     lists = zip(
         grid.at.tolist(),
-        places.counts(np.ones(len(grid.frame), dtype=bool)).tolist(),
+        places.sizes.tolist(),
         places.counts(grid.counted & grid.once).tolist(),
         places.counts(grid.counted & ~grid.once).tolist(),
         grid.failures(),

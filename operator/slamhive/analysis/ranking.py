@@ -103,7 +103,7 @@ class Ranking:
 
     def medians(self, groups: Groups) -> Floats:
         """Return the median cost of each group, failed runs last, (groups,): NaN where no run has a rank."""
-        places = Places(groups.order, groups.bounds)
+        places = Places(groups.sizes, groups.order)
         once = self._once(groups.of_row)
         return places.numbers(self._costs, self.inside & once).medians(places.counts(self.failed & once))
 

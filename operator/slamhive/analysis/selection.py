@@ -269,9 +269,9 @@ def of_sweep(frame: Frame, name: str) -> Mask:
         uids = frame.column("sweep.uid")
         chosen = uids.among({uid for uid in uids.values if str(uid).startswith(name)})
     if not chosen.any():
-        known = [str(one) for one in frame.column("sweep").factorized()[1] if one is not None]
+        known = [str(one) for one in frame.column("sweep").unique() if one is not None]
         raise UnknownNameError("sweep", name, known, argument="sweep")
-    namespaces = frame.select(chosen).column("namespace").factorized()[1]
+    namespaces = frame.select(chosen).column("namespace").unique()
     if not slash and len(namespaces) > 1:
         places = ", ".join(f"{one or ''}/{name}" for one in namespaces)
         raise InputError(f"several sweeps are called {name!r}: write which of {places}", "sweep")
@@ -282,7 +282,7 @@ def _of_evaluation(frame: Frame, name: str) -> Frame:
     """Return the rows of an evaluation: of runs that it measured, or was meant to measure."""
     chosen = where_equal(frame, "evaluation", name)
     if not chosen.any():
-        known = [str(one) for one in frame.column("evaluation").factorized()[1] if one is not None]
+        known = [str(one) for one in frame.column("evaluation").unique() if one is not None]
         raise UnknownNameError("evaluation", name, known, argument="evaluation")
     return frame.select(chosen)
 

@@ -119,7 +119,7 @@ def _survey(place: Home, asked: CollectOptions) -> list[HomeFind]:
     with suppress(SystemFault):  # a full disk is to be freed; what else may be wrong, reading says
         open_archive(place).close()  # brings an earlier version up to date, and refuses a newer one
     table = read_table(place.archive_url)
-    datasets = {str(name) for name in table.frame.column("dataset").factorized()[1] if name is not None}
+    datasets = {str(name) for name in table.frame.column("dataset").unique() if name is not None}
     datasets |= {one.dataset for one in table.left_out if one.dataset is not None}
     if asked.unrecorded and table.left_out:
         remark("folders of runs without a record stay: a record that can't be read may be theirs")

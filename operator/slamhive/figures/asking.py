@@ -240,7 +240,7 @@ def check_panels(count: int, names: Sequence[str], frame: Frame, facet: str | No
     """
     if count <= MOST_PANELS:
         return
-    distinct = {name: len(frame.column(name).factorized()[1]) for name in names}
+    distinct = {name: len(frame.column(name).unique()) for name in names}
     most = ", ".join(f"{name} ({number:,})" for name, number in distinct.items())
     first = next(iter(names), "")
     if facet is not None and distinct.get(first, 0) > MOST_PANELS:

@@ -284,7 +284,7 @@ def _settings(frame: Frame) -> list[str]:
     """
     within = [name for name in varied(frame) if not name.startswith("dataset.")]
     fed = (name for name in frame.stored if name.startswith("input.") and is_setting(name))
-    known = (name for name in fed if len(set(frame.column(name).factorized()[1]) - {None}) > 1)
+    known = (name for name in fed if len(set(frame.column(name).unique()) - {None}) > 1)
     return list(dict.fromkeys([*within, *known]))
 
 

@@ -201,7 +201,7 @@ def _facts(facts: Sequence[tuple[str, str]]) -> Markup:
 
 
 def _values(frame: Frame, name: str) -> list[Any]:
-    return [value for value in frame.column(name).factorized()[1] if value is not None]
+    return [value for value in frame.column(name).unique() if value is not None]
 
 
 def _listed(values: Sequence[Any]) -> str:

@@ -365,7 +365,7 @@ def _in_order(
     frame: Frame, names: Sequence[str], found: dict[str, tuple[Any, ...]]
 ) -> dict[str, tuple[Any, ...]]:
     """Return column values in the order of their columns, whatever row they were first seen in."""
-    values = [frame.column(name).factorized()[1] for name in names]
+    values = [frame.column(name).unique() for name in names]
     orders = [{_plain(value): place for place, value in enumerate(one)} for one in values]
     sort = lambda item: [order[_plain(value)] for order, value in zip(orders, item[1], strict=True)]  # noqa: E731
     return dict(sorted(found.items(), key=sort))

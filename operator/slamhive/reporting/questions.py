@@ -100,7 +100,7 @@ def usual_questions(frame: Frame, metric: str, outcomes: Outcomes) -> list[Quest
 def varied(frame: Frame) -> list[str]:
     """Return the settings that were varied, those with most values first."""
     names = [name for name in varying(frame) if is_setting(name)]
-    counts = {name: len(frame.column(name).factorized()[1]) for name in names}
+    counts = {name: len(frame.column(name).unique()) for name in names}
     return sorted(names, key=lambda name: -counts[name])
 
 
@@ -160,7 +160,7 @@ def _question(
     if points is None:
         column = frame.column(x)
         counts = column.kind in {ColumnKind.NUMBER, ColumnKind.INTEGER}
-        points = counts and not x.startswith(CONFIGURATION) and len(column.factorized()[1]) > MOST_GROUPS
+        points = counts and not x.startswith(CONFIGURATION) and len(column.unique()) > MOST_GROUPS
     points = points or frame.column(x).kind is ColumnKind.TIME
     told = tuple(name for name in by if name != x and varies(frame, name))
     return Question(x, y, told, frame, outcomes, points, log, title, filters)

@@ -108,7 +108,7 @@ def study(question: Question) -> Study:
     found = aggregate(frame, [y], [*names, *asked], question.outcomes)
     column = frame.column(x)
     numeric = column.kind.is_numeric and column.kind is not ColumnKind.BOOLEAN
-    categories = None if numeric else column.factorized()[1]
+    categories = None if numeric else column.unique()
     series = [tuple(key[name] for name in by) for key in Groups(frame, by).keys]
     made = Study(question, categories, series, [], found, [*left, *_mixed(question, frame), *found.notes])
     groups = Groups(frame, names)

@@ -235,7 +235,7 @@ def _is_same(published: Scalar, own: Scalar) -> bool:
 def alignment_words(frame: Frame) -> list[str]:
     """Return the alignments of runs, sorted, as they are called in manifests."""
     words = {one.lower(): str(one) for one in Alignment}
-    return sorted(words.get(one, one) for one in frame.column("alignment").factorized()[1] if one is not None)
+    return sorted(words.get(one, one) for one in frame.column("alignment").unique() if one is not None)
 
 
 def _not(why: str) -> Assessment:

@@ -78,7 +78,7 @@ class _MeaningParts(dict[str, str]):
             return f" after {' or '.join(kinds)}" if kinds else ""
         if part == "reader":
             shown = self._frame.select(shows_cpu(self._frame))
-            found = shown.column("usage.includesReader").factorized()[1]  # None: it isn't known
+            found = shown.column("usage.includesReader").unique()  # None: it isn't known
             return _READER.get(found[0], "") if len(found) == 1 else ""
         stem = match[0] if (match := _RPE.match(self._column)) else ""
         over = [self._values(f"{stem}.{name}") for name in ("delta", "unit", "pairs")]
@@ -89,7 +89,7 @@ class _MeaningParts(dict[str, str]):
         return f"{text}, {pairs[0]} pairs" if len(pairs) == 1 else text
 
     def _values(self, name: str) -> list[Any]:
-        return [value for value in self._frame.column(name).factorized()[1] if value is not None]
+        return [value for value in self._frame.column(name).unique() if value is not None]
 
 
 def disproportion(result: Result) -> str | None:

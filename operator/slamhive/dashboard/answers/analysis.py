@@ -121,7 +121,7 @@ def mixtures(frame: Frame, told: list[str]) -> list[dict[str, Any]]:
         owner = OWNERS.get(name)
         if owner in {*SUBJECT, *told} and follows(rows, name, owner):
             continue
-        values = rows.column(name).factorized()[1]
+        values = rows.column(name).unique()
         shown = ", ".join("unknown" if value is None else key_text(value) for value in values[:6])
         sentence = f"runs of different {name} are mixed here ({shown}): choose one, or tell them apart by it"
         mixed.append({"column": name, "values": values[:100], "sentence": sentence})

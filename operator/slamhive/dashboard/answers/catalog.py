@@ -146,7 +146,7 @@ def _attributes(runs: Frame) -> dict[str, Any]:
     found = {}
     for name in runs.stored:
         if name.startswith("dataset.attributes."):
-            values = runs.column(name).factorized()[1]
+            values = runs.column(name).unique()
             if len(values) == 1 and values[0] is not None:
                 found[name.removeprefix("dataset.attributes.")] = values[0]
     return found

@@ -68,7 +68,7 @@ def _settings(frame: Frame) -> list[str]:
 
 
 def _differs(frame: Frame, name: str) -> bool:
-    return name == "repetition" or len(frame.column(name).factorized()[1]) > 1
+    return name == "repetition" or len(frame.column(name).unique()) > 1
 
 
 def _alike(frame: Frame, uid: str) -> np.ndarray[Any, np.dtype[np.bool_]]:

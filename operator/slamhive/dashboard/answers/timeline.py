@@ -253,7 +253,7 @@ def _extent(spans: Spans) -> tuple[float | None, float | None]:
 def _bars(spans: Spans) -> dict[str, Any]:
     frame = spans.frame
     names = ["algorithm", "sensors", "dataset", *varying(frame)[:_MOST_SETTINGS], "repetition"]
-    told = [name for name in names if len(frame.column(name).factorized()[1]) > 1]
+    told = [name for name in names if len(frame.column(name).unique()) > 1]
     return {
         "keys": [heading(frame, name) for name in told],
         "settings": frame.records(told),

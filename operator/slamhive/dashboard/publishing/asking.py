@@ -51,7 +51,7 @@ class PublishedRuns:
         self._sweeps = tuple(dict.fromkeys(sweeps))
         frame = snapshot.frame
         if self._sweeps:
-            known = {str(value) for value in frame.column("sweep").factorized()[1] if value is not None}
+            known = {str(value) for value in frame.column("sweep").unique() if value is not None}
             for name in self._sweeps:
                 if name not in known:
                     raise UnknownNameError("sweep", name, known, argument="sweep")

@@ -83,7 +83,7 @@ def _is_shown(column: Column, name: str) -> bool:
     if column.kind is ColumnKind.OTHER and name not in _LISTS:
         return not any(isinstance(one, list | dict) for one in column.values)
     told = column.kind is ColumnKind.TEXT and name not in _NAMES
-    return not told or len(column) < _FEW or len(column.factorized()[1]) <= len(column) // 2
+    return not told or len(column) < _FEW or len(column.unique()) <= len(column) // 2
 
 
 def _repeated(frame: Frame) -> dict[str, Any]:
