@@ -296,13 +296,24 @@ class Column:
             verdicts[-1] = None in words
         else:
             verdicts = np.array([value in words for value in (*values, None)], dtype=bool)
-        wanted_codes = np.flatnonzero(verdicts)
-        if len(wanted_codes) > _FEW_WORDS:
+        codes = np.flatnonzero(verdicts)
+        if len(codes) > _FEW_WORDS:
             found: Mask = verdicts[self._codes]
             return found
+        return self._with_codes(np.where(codes < len(values), codes, -1))
+
+    def equal(self, number: float) -> Mask:
+        """Tell which rows of a numeric column have a number, (n,); none where that is NaN."""
+        if self.is_coded:
+            return self._with_codes(np.flatnonzero(self.values == number))
+        found: Mask = self._numbers == number
+        return found
+
+    def _with_codes(self, codes: Indices) -> Mask:
+        """Tell which rows have one of a few codes, (n,)."""
         found = np.zeros(len(self), dtype=bool)
-        for code in wanted_codes.tolist():
-            found |= self._codes == (code if code < len(values) else -1)
+        for code in codes.tolist():
+            found |= self._codes == code
         return found
 
     def packed(self) -> Column:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -53,7 +53,9 @@ def search(snapshot: Snapshot, pairs: Pairs, words: str, limit: int) -> Body:
         raise BadRequest(f"words: {len(asked)} are too many, expected {MOST_WORDS} at most", "words")
     chosen = select(snapshot.frame, pairs, RESERVED, each=True)
     frame = chosen.frame.select(first_rows(chosen.frame))
-    found = frame.select(_fitting(frame, asked))
+    found = frame
+    for word in asked:
+        found = found.select(_fits(found, word))
     # The latest come first: they are looked for most.
     shown = found.select(np.arange(len(found))[::-1][:limit])
     names = [*SUBJECT, *varying(shown)[:_MOST_SETTINGS], "repetition"]
@@ -72,49 +74,37 @@ def search(snapshot: Snapshot, pairs: Pairs, words: str, limit: int) -> Body:
     return Body(content, lambda: as_columns(rows))
 
 
-def _fitting(frame: Frame, words: list[str]) -> Mask:
-    """Tell which runs all words fit, (n,)."""
-    fits = [np.zeros(len(frame), dtype=bool) for _ in words]
+def _fits(frame: Frame, word: str) -> Mask:
+    """Tell which runs a word fits, (n,)."""
+    fits = np.zeros(len(frame), dtype=bool)
+    asked, equals, value = word.partition("=")
     for name in frame.names:
-        setting = name.startswith(_SETTINGS)
-        if not setting and name not in _NAMED:
+        setting, own = name.startswith(_SETTINGS), name.lower()
+        if (not setting and name not in _NAMED) or (equals and not f".{own}".endswith(f".{asked}")):
             continue
-        own = name.lower()
         column = frame.glance(name)
-        texts = None if column.kind.is_numeric else _lower(column.values)
-        for fit, word in zip(fits, words, strict=True):
-            asked, equals, value = word.partition("=")
-            if equals:
-                if own == asked or own.endswith(f".{asked}"):
-                    np.logical_or(fit, _holding(column, texts, value, whole=True), out=fit)
-                continue
-            if setting and word in own.rpartition(".")[2]:
-                np.logical_or(fit, column.present, out=fit)
-            np.logical_or(fit, _holding(column, texts, word, whole=False), out=fit)
-    found: Mask = np.logical_and.reduce(fits) if fits else np.ones(len(frame), dtype=bool)
-    return found
+        if setting and not equals and word in own.rpartition(".")[2]:
+            fits |= column.present
+        else:
+            fits |= _holding(column, value if equals else word, whole=bool(equals))
+    return fits
 
 
-def _lower(values: Any) -> Any:
-    if isinstance(values, PackedTexts):
-        return np.strings.lower(values.data)
-    return [str(value).lower() for value in values]
-
-
-def _holding(column: Column, texts: Any, word: str, *, whole: bool) -> Mask:
+def _holding(column: Column, word: str, *, whole: bool) -> Mask:
     """Tell which values hold a word, (n,): as a part of a text unless as the whole, numbers as they are."""
+    if column.kind.is_numeric:
+        return column.equal(_number(word))
     mask: Mask
-    if texts is None:
-        mask = column.numbers == _number(word)
-        return mask
-    verdicts: Any
-    if isinstance(texts, np.ndarray):
-        searched = word.encode("utf-8", "replace")
-        verdicts = texts == searched if whole else np.strings.find(texts, searched) >= 0
-    else:
+    if not isinstance(column.values, PackedTexts):
+        texts = [str(value).lower() for value in column.values]
         verdicts = [word == text if whole else word in text for text in texts]
-    mask = np.array([*verdicts, False], dtype=bool)[column.codes]
-    return mask
+        mask = np.array([*verdicts, False], dtype=bool)[column.codes]
+        return mask
+    # Of fewer rows than there are texts, theirs alone are looked at.
+    rows = column.codes if len(column) < len(column.values) else slice(None)
+    data, searched = np.strings.lower(column.values.data[rows]), word.encode("utf-8", "replace")
+    mask = data == searched if whole else np.strings.find(data, searched) >= 0
+    return np.append(mask, False)[column.codes] if isinstance(rows, slice) else mask & column.present
 
 
 def _number(word: str) -> float:
