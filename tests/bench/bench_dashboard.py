@@ -37,6 +37,9 @@ from slamhive.model.results import Outcome, Phase, Reason, Result, RunRecord
 
 RUNS = 80_000
 START = datetime(2026, 1, 1, tzinfo=UTC)
+STEP = 37
+"""Seconds between the starts of two runs."""
+TIMES = ("created", "started", "finished")
 ALGORITHMS = ("orb-slam2", "orb-slam3", "vins-mono", "vins-fusion", "kiss-icp", "lio-sam", "dso", "svo")
 SENSORS = ("mono", "stereo", "lidar", "rgbd")
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "sse")
@@ -94,7 +97,7 @@ def make_record(number: int) -> RunRecord:
     dataset = f"sequence-{number // 8 % 10:02d}"
     error = 0.02 * (1 + number % 8) * (1 + number // 8 % 10) * chance.lognormvariate(0, 0.5)
     failed = chance.random() < 0.05
-    started = START + timedelta(seconds=37 * number)
+    started = START + timedelta(seconds=STEP * number)
     results = []
     if not failed:
         coverage = min(1.0, chance.lognormvariate(-0.05, 0.1))
@@ -188,10 +191,11 @@ def fill(url: str, count: int) -> None:
 
 
 def multiply(url: str, wanted: int) -> None:
-    """Bring PostgreSQL to a number of runs: copies with content and trajectories of their own."""
+    """Bring PostgreSQL to a number of runs: later copies, with content and trajectories of their own."""
     other = "md5(random()::text || r.id) || md5(random()::text)"
     own = {
         "id": "r.id + :shift",
+        **{name: f"r.{name} + {STEP} * :shift * interval '1 second'" for name in TIMES},
         "point": "r.point + :shift",
         "uid": "gen_random_uuid()::text",
         "content_hash": "h.content",
