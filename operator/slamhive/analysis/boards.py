@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.cells import Places
+from slamhive.analysis.columns import FIRST_THEN_ALL
 from slamhive.analysis.grouping import (
-    FIRST_THEN_ALL,
     LOAD,
     PROCESSOR,
     SUBJECT,

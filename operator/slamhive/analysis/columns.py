@@ -35,8 +35,9 @@ _PLAIN = {int, float, type(None)}
 _FEW_WORDS = 8
 _FEW = 127
 """Different values up to which codes have a byte."""
-_FIRST = 4096
-"""Rows that are looked at before all are."""
+FIRST_THEN_ALL = (slice(4096), slice(None))
+"""Rows in which most of what differs or occurs at all does so already, and all rows."""
+
 _MANY = 256
 """Values from which on it is worth the while to look how few are different, or to hold texts as one array."""
 
@@ -493,11 +494,11 @@ def times(values: Sequence[Any]) -> Column:
 def _occurring(numbers: npt.NDArray[np.integer[Any]], bound: int) -> Mask:
     """Tell which numbers below a bound occur, and last whether -1 does, (bound + 1,)."""
     occurs = np.zeros(bound + 1, dtype=bool)
-    occurs[numbers[:_FIRST]] = True
-    if occurs[:-1].all():  # of few numbers all occur early
-        occurs[-1] = bool((numbers < 0).any())
-    else:
-        occurs[numbers] = True
+    for rows in FIRST_THEN_ALL:
+        occurs[numbers[rows]] = True
+        if occurs[:-1].all():
+            occurs[-1] = bool((numbers < 0).any())
+            break
     return occurs
 
 

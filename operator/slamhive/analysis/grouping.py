@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.cells import CellColumns, Cells, GroupFigures, Places, again
-from slamhive.analysis.columns import Column, renumbered
+from slamhive.analysis.columns import FIRST_THEN_ALL, Column, renumbered
 from slamhive.analysis.measures import (
     BESIDE,
     CONFIGURATION,
@@ -120,9 +120,6 @@ FAILED_OF_ITSELF = frozenset(
     }
 )
 """Reasons that are the algorithm's own. What the machine or the user ended says nothing of it."""
-
-FIRST_THEN_ALL = (slice(4096), slice(None))
-"""Rows in which most of what differs at all does so already, and all rows."""
 
 _MOST_NAMES = 6
 _SHORT = 1 << 31
