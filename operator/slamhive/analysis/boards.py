@@ -307,9 +307,7 @@ def _grid(
     """Return the grid of some cells, (c,): the rows of a competitor on a dataset each."""
     examples = cells.frame.select(cells.firsts[mine])
     competitors, datasets = Groups(examples, by), Groups(examples, ("dataset",))
-    chosen: Mask = np.zeros(cells.count, dtype=bool)
-    chosen[mine] = True
-    rows = cells.order[np.repeat(chosen, cells.sizes)]
+    rows = np.concatenate(list(cells.members(mine)))
     return Grid(
         metric,
         facets,

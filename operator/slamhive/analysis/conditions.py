@@ -241,7 +241,7 @@ def _by_value(operand: Operand, frame: Frame, test: Callable[[Any], bool]) -> Ma
         codes, values = column.factorized()
         return np.array([test(value) for value in values], dtype=bool)[codes]
     verdicts = [test(value) for value in column.values]
-    return np.array([*verdicts, test(None)], dtype=bool)[column.codes]
+    return column.having(np.array([*verdicts, test(None)], dtype=bool))
 
 
 def _compare(symbol: str, left: Any, right: Any) -> bool:

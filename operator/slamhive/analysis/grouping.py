@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -182,8 +181,8 @@ class Groups:
                     bound = len(used)
                 bound *= len(values)
                 # Half as long while they can be: most of the time goes into memory.
-                combined = combined.astype(np.int32 if bound < _SHORT else np.int64, copy=False)
-                combined = combined * len(values) + codes if bound > len(values) else codes
+                short: type[np.signedinteger[Any]] = np.int32 if bound < _SHORT else np.int64
+                combined = combined.astype(short, copy=False) * len(values) + codes
         if bound > 1:
             used, combined = renumbered(combined, bound)
             count = len(used)
@@ -203,11 +202,6 @@ class Groups:
         return np.bincount(self.of_row, minlength=self.count)
 
     @cached_property
-    def bounds(self) -> Indices:
-        """The place in the order where each group begins, and the end of the last, (groups + 1,)."""
-        return np.concatenate([[0], np.cumsum(self.sizes)])
-
-    @cached_property
     def keys(self) -> list[dict[str, Any]]:
         """The values that the rows of each group share, by column."""
         return self.frame.select(self.firsts).records(self.names)
@@ -219,10 +213,16 @@ class Groups:
         found[self.of_row[::-1]] = np.arange(len(self.of_row))[::-1]
         return found
 
-    def members(self) -> Iterator[Indices]:
-        """Go through the rows of each group, in their order."""
-        for begin, end in pairwise(self.bounds.tolist()):
-            yield self.order[begin:end]
+    @cached_property
+    def starts(self) -> Indices:
+        """The place in the order where each group begins, (groups,)."""
+        return np.cumsum(self.sizes) - self.sizes
+
+    def members(self, groups: Indices | slice = slice(None)) -> Iterator[Indices]:
+        """Go through the rows of each group, or of each of some, in their order."""
+        parts = zip(self.starts[groups].tolist(), self.sizes[groups].tolist(), strict=True)
+        for begin, size in parts:
+            yield self.order[begin : begin + size]
 
 
 def aggregate(

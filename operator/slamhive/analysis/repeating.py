@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.cells import different
-from slamhive.analysis.grouping import SUBJECT, Groups, aggregate, apart, pooling_notes, varying
+from slamhive.analysis.grouping import SUBJECT, Groups, aggregate, apart, pooling_notes, varying, where_equal
 from slamhive.analysis.measures import follows_trajectory
 
 if TYPE_CHECKING:
@@ -71,13 +71,12 @@ def repeatability(frame: Frame, metric: str = "ate.rmse") -> tuple[list[Repetiti
     keys = [*SUBJECT, *(name for name in changing if not name.startswith("dataset.attributes."))]
     frame, facets = apart(frame, keys, [metric])
     all_of_them = Groups(frame, [*facets, *keys])
-    counts = np.bincount(all_of_them.of_row, minlength=all_of_them.count)
-    alone = int((counts == 1).sum())
+    alone = int((all_of_them.sizes == 1).sum())
     notes = pooling_notes([name for name in changing if name not in all_of_them.names])
     if alone:
         ran = "configuration" if alone == 1 else "configurations"
         notes = [*notes, f"{alone} {ran} ran once: a single run says nothing of repeatability"]
-    frame = frame.select(counts[all_of_them.of_row] > 1)
+    frame = frame.select(all_of_them.sizes[all_of_them.of_row] > 1)
     # By the same columns: what is left of the rows might not need all of them, and would be pooled.
     found = aggregate(frame, [metric], all_of_them.names)
     numbers = frame.column(metric).floats()
@@ -148,11 +147,8 @@ def suspects(frame: Frame) -> list[Suspect]:
     alignment, sensors = frame.column("alignment"), frame.column("sensors")
     if alignment.kind.is_numeric or sensors.kind.is_numeric:
         return []
-    scaled = np.array([value != "mono" for value in (*sensors.values, None)], dtype=bool)[sensors.codes]
-    free = np.array([value == "sim3" for value in (*alignment.values, None)], dtype=bool)[alignment.codes]
-    status = frame.column("status")
-    good = np.array([value == "Tracked" for value in (*status.values, None)], dtype=bool)[status.codes]
-    inside = frame.select(scaled & free & good & ~np.isnan(scale))
+    good = alignment.among(("sim3",)) & ~sensors.among(("mono",)) & where_equal(frame, "status", "Tracked")
+    inside = frame.select(good & ~np.isnan(scale))
     if not len(inside):
         return []
     numbers = inside.column("scale").floats()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.columns import ColumnKind
+from slamhive.analysis.columns import ColumnKind, counted
 from slamhive.analysis.flattening import OF_RUN
 from slamhive.analysis.measures import is_error, measure_of
 from slamhive.analysis.metrics import Metric, declared_units
@@ -68,11 +68,10 @@ def profile(frame: Frame, name: str) -> dict[str, Any]:
             described |= {"min": low, "max": high}
         values = [column.plain(value) for value in uniques[:_MAX_DISTINCT].tolist()]
     else:
-        counts = np.bincount(column.codes[column.present], minlength=len(column.values))
-        used = np.flatnonzero(counts)
+        used, counts = counted(column.codes[column.present], len(column.values))
         if len(used) <= _MAX_DISTINCT:  # else they are not told, and need no order
-            used = used[sorted(range(len(used)), key=lambda place: str(column.values[used[place]]))]
-        counts = counts[used]
+            order = sorted(range(len(used)), key=lambda place: str(column.values[used[place]]))
+            used, counts = used[order], counts[order]
         values = [column.values[code] for code in used[:_MAX_DISTINCT].tolist()]
     most = _MAX_DISTINCT if column.kind is not ColumnKind.NUMBER else _MAX_NUMBERS
     few = len(counts) <= most

@@ -98,13 +98,12 @@ def _holding(column: Column, word: str, *, whole: bool) -> Mask:
     if not isinstance(column.values, PackedTexts):
         texts = [str(value).lower() for value in column.values]
         verdicts = [word == text if whole else word in text for text in texts]
-        mask = np.array([*verdicts, False], dtype=bool)[column.codes]
-        return mask
+        return column.having(np.array([*verdicts, False], dtype=bool))
     # Of fewer rows than there are texts, theirs alone are looked at.
     rows = column.codes if len(column) < len(column.values) else slice(None)
     data, searched = np.strings.lower(column.values.data[rows]), word.encode("utf-8", "replace")
     mask = data == searched if whole else np.strings.find(data, searched) >= 0
-    return np.append(mask, False)[column.codes] if isinstance(rows, slice) else mask & column.present
+    return column.having(np.append(mask, False)) if isinstance(rows, slice) else mask & column.present
 
 
 def _number(word: str) -> float:
